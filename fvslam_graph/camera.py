@@ -1,0 +1,161 @@
+"""The pinhole camera, its lens distortion and the rectification that removes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.errors import CameraError
+
+Image = NDArray[np.uint8]
+
+
+class Distortion(StrEnum):
+    """Lens models, named as in the ASL/EuRoC calibration files."""
+
+    NONE = "none"
+    RADTAN = "radtan"  # k1 k2 p1 p2 [k3], Brown 1966, as OpenCV's main model
+    EQUIDISTANT = "equidistant"  # k1 k2 k3 k4, Kannala and Brandt 2006, as OpenCV's fisheye model
+
+
+_COEFFICIENTS = {Distortion.NONE: (0,), Distortion.RADTAN: (4, 5), Distortion.EQUIDISTANT: (4,)}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated camera with axes x right, y down, z forward.
+
+    Attributes:
+        width, height: Image size in pixels.
+        fx, fy, cx, cy: Focal lengths and principal point in pixels; the centre of the first pixel is (0, 0).
+        distortion: Lens model.
+        coefficients: Its coefficients, dimensionless, in OpenCV's order.
+
+    Raises:
+        CameraError: A number is not finite, a size or focal length is not positive, or the count of coefficients
+            does not fit the model.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: Distortion = Distortion.NONE
+    coefficients: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
+        if not np.all(np.isfinite(numbers)):
+            raise CameraError(f"the calibration has a number that is not finite: {numbers}")
+        if self.width <= 0 or self.height <= 0:
+            raise CameraError(f"the image size must be positive, not {self.width}x{self.height}")
+        if self.fx <= 0 or self.fy <= 0:
+            raise CameraError(f"the focal lengths must be positive, not fx={self.fx:g}, fy={self.fy:g}")
+        if len(self.coefficients) not in _COEFFICIENTS[self.distortion]:
+            raise CameraError(
+                f"distortion '{self.distortion}' takes {' or '.join(map(str, _COEFFICIENTS[self.distortion]))} "
+                f"coefficients, not {len(self.coefficients)}"
+            )
+
+    @cached_property
+    def K(self) -> NDArray[np.float64]:
+        """The calibration matrix, (3, 3), pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels (N, 2) of points (N, 3) in camera coordinates, metres; NaN for points not in front of the camera."""
+        points = np.asarray(points, float).reshape(-1, 3)
+        pixels = np.full((len(points), 2), np.nan)
+        front = points[:, 2] > 0
+        if np.any(front):
+            pixels[front] = self._distort(points[front] / points[front, 2:])
+        return pixels
+
+    def normalize(self, pixels: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Undistorted image coordinates (N, 2) at unit depth (x/z, y/z) of pixels (N, 2)."""
+        pixels = np.asarray(pixels, float).reshape(-1, 2)
+        if self.distortion is Distortion.NONE:
+            return (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
+        undistort = cv2.fisheye.undistortPoints if self.distortion is Distortion.EQUIDISTANT else cv2.undistortPoints
+        return np.asarray(undistort(pixels[:, None], self.K, np.array(self.coefficients)), float).reshape(-1, 2)
+
+    def scaled(self, factor: float) -> Camera:
+        """The camera of the same images, resized by `factor` (> 0) with pixel areas averaged."""
+        return replace(
+            self,
+            width=round(self.width * factor),
+            height=round(self.height * factor),
+            fx=self.fx * factor,
+            fy=self.fy * factor,
+            cx=(self.cx + 0.5) * factor - 0.5,  # pixel centres, not corners, are at whole numbers
+            cy=(self.cy + 0.5) * factor - 0.5,
+        )
+
+    def undistorted(self) -> Camera:
+        """The distortion-free camera with the same calibration matrix and size."""
+        return replace(self, distortion=Distortion.NONE, coefficients=())
+
+    def _distort(self, rays: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.distortion is Distortion.NONE:
+            return rays[:, :2] * (self.fx, self.fy) + (self.cx, self.cy)
+        zero = np.zeros(3)
+        if self.distortion is Distortion.EQUIDISTANT:
+            pixels, _ = cv2.fisheye.projectPoints(rays[:, None], zero, zero, self.K, np.array(self.coefficients))
+        else:
+            pixels, _ = cv2.projectPoints(rays, zero, zero, self.K, np.array(self.coefficients))
+        return np.asarray(pixels, float).reshape(-1, 2)
+
+
+class Rectifier:
+    """Removes lens distortion, and optionally rotates the camera; the maps are computed once.
+
+    Args:
+        source: The camera as built, with distortion.
+        target: The ideal camera that the rectified images shall have.
+        rotation: target_R_source, (3, 3); KITTI's R_rect. Identity where not given.
+    """
+
+    def __init__(self, source: Camera, target: Camera, rotation: NDArray[np.float64] | None = None) -> None:
+        rotation = np.eye(3) if rotation is None else rotation
+        size = (target.width, target.height)
+        make = (
+            cv2.fisheye.initUndistortRectifyMap
+            if source.distortion is Distortion.EQUIDISTANT
+            else (cv2.initUndistortRectifyMap)
+        )
+        coefficients = np.array(source.coefficients or (0.0,) * 4)
+        self.maps = make(source.K, coefficients, rotation, target.K, size, cv2.CV_16SC2)
+        self.source = source
+
+    def __call__(self, image: Image) -> Image:
+        """The rectified image; `image` has the size of the source camera."""
+        rectified: Image = cv2.remap(image, *self.maps, cv2.INTER_LINEAR)
+        return rectified
+
+
+def camera_from_intrinsics(
+    size: tuple[int, int],
+    intrinsics: Sequence[float],
+    distortion: Distortion,
+    coefficients: Sequence[float],
+) -> Camera:
+    """A camera from plain lists as calibration files hold them.
+
+    Args:
+        size: (width, height), pixels.
+        intrinsics: fx, fy, cx, cy, pixels.
+        distortion: Lens model.
+        coefficients: Its coefficients; all-zero ones are taken as no distortion.
+    """
+    if not np.any(np.asarray(coefficients, float)) and distortion is Distortion.RADTAN:
+        distortion, coefficients = Distortion.NONE, ()
+    return Camera(*size, *map(float, intrinsics), distortion, tuple(map(float, coefficients)))

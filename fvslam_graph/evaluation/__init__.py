@@ -1,0 +1,1 @@
+"""How good a trajectory is: metrics, tables and plots."""

@@ -1,0 +1,1 @@
+"""Corners in an image, and which corner is which in the next image."""

@@ -1,0 +1,1 @@
+"""Recordings, one file per format, and the synthetic worlds."""

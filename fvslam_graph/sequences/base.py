@@ -1,0 +1,114 @@
+"""What every recording looks like to the estimators, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera, Image
+from fvslam_graph.errors import SequenceError
+from fvslam_graph.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image in time.
+
+    Attributes:
+        index: Position in the sequence, from 0.
+        stamp: Seconds.
+        image: (H, W) uint8, rectified; None where no usable image could be read.
+        height: Metres from the camera to the ground plane below it; NaN where unknown.
+    """
+
+    index: int
+    stamp: float
+    image: Image | None
+    height: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What is known of the ground below the camera: the fact that makes one camera metric.
+
+    Attributes:
+        heights: (N,) metres from the camera to the ground plane, per frame; NaN where unknown.
+        normal: (3,) unit vector in camera coordinates that points from the camera down to the ground plane.
+        normal_sigma: Standard deviation of its direction, radians; how far the camera tilts against the ground.
+        source: Where the heights come from, for the reader of a report.
+    """
+
+    heights: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    normal_sigma: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A recording: lazily read, rectified images of one camera with what is known about them.
+
+    Attributes:
+        name: For tables and plots.
+        format: The format's name, e.g. "kitti-odometry".
+        camera: The camera of the rectified images.
+        stamps: (N,) seconds.
+        load: Reads image i, 0 <= i < N, as (H, W) uint8 of the camera's size; None where it cannot be decoded.
+        ground_truth: world_T_camera of this camera; its stamps need not be those of the images.
+        ground: What is known about the ground plane.
+        notes: Gaps and oddities found on opening, one sentence each.
+    """
+
+    name: str
+    format: str
+    camera: Camera
+    stamps: NDArray[np.float64]
+    load: Callable[[int], Image | None]
+    ground_truth: Trajectory | None = None
+    ground: Ground | None = None
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for index in range(len(self)):
+            yield self.frame(index)
+
+    def frame(self, index: int) -> Frame:
+        """Frame `index`; an image of another size than the camera's counts as unreadable."""
+        image = self.load(index)
+        if image is not None and image.shape != (self.camera.height, self.camera.width):
+            image = None
+        height = float("nan") if self.ground is None else float(self.ground.heights[index])
+        return Frame(index, float(self.stamps[index]), image, height)
+
+    def select(self, start: int | None = None, stop: int | None = None, stride: int = 1) -> Sequence:
+        """The frames start, start + stride, ... before stop, as a sequence of its own."""
+        if stride < 1:
+            raise SequenceError(f"the stride must be at least 1, not {stride}")
+        kept = range(len(self))[start:stop:stride]
+        if not kept:
+            raise SequenceError(f"no frame of {self.name} is in {start}:{stop}, it has {len(self)}")
+        chosen = np.array(kept)
+        ground = self.ground and replace(self.ground, heights=self.ground.heights[chosen])
+        load = self.load
+        return replace(self, stamps=self.stamps[chosen], load=lambda i: load(kept[i]), ground=ground)
+
+    def scaled(self, factor: float) -> Sequence:
+        """The same recording with images resized by `factor` (0 < factor <= 1)."""
+        camera = self.camera.scaled(factor)
+        load = self.load
+
+        def resized(index: int) -> Image | None:
+            image = load(index)
+            if image is None:
+                return None
+            small: Image = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+            return small
+
+        return replace(self, camera=camera, load=resized)

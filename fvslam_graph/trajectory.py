@@ -1,0 +1,202 @@
+"""Stamped camera poses with their covariances, and the TUM and KITTI files that hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.errors import TrajectoryError
+
+if TYPE_CHECKING:
+    from evo.core.trajectory import PoseTrajectory3D
+
+
+class Status(StrEnum):
+    """How the pose of a frame came about."""
+
+    TRACKED = "tracked"  # estimated from the image
+    STATIC = "static"  # the image did not move
+    COASTED = "coasted"  # too little to see: the motion model carried on
+    SKIPPED = "skipped"  # no image could be read: the motion model carried on
+    REINITIALISED = "reinitialised"  # tracking was lost and begins anew at this pose
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses over time.
+
+    Attributes:
+        stamps: (N,) seconds, strictly increasing.
+        poses: N poses world_T_camera, metres.
+
+    Raises:
+        TrajectoryError: The lengths differ, a number is not finite, or stamps do not increase.
+    """
+
+    stamps: NDArray[np.float64]
+    poses: tuple[gtsam.Pose3, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.stamps) != len(self.poses):
+            raise TrajectoryError(f"{len(self.stamps)} stamps do not fit {len(self.poses)} poses")
+        _require(np.isfinite(self.stamps), "has a stamp that is not a finite number")
+        _require(np.isfinite(self.matrices).all(axis=(1, 2)), "has a pose with a number that is not finite")
+        _require(np.diff(self.stamps, prepend=-np.inf) > 0, "has a stamp that is not later than the one before")
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    @classmethod
+    def from_matrices(cls, stamps: NDArray[np.float64], matrices: NDArray[np.float64]) -> Trajectory:
+        """From homogeneous matrices (N, 4, 4); rotations are brought back onto SO(3)."""
+        return cls(np.asarray(stamps, float), tuple(pose_from_matrix(matrix) for matrix in matrices))
+
+    @cached_property
+    def matrices(self) -> NDArray[np.float64]:
+        """Homogeneous matrices, (N, 4, 4)."""
+        return np.array([pose.matrix() for pose in self.poses]).reshape(-1, 4, 4)
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """Camera centres in the world, (N, 3), metres."""
+        return self.matrices[:, :3, 3]
+
+    @property
+    def path_length(self) -> float:
+        """Length of the path through all positions, metres."""
+        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
+
+    def between(self, start: float, end: float) -> Trajectory:
+        """The part with start <= stamp <= end, seconds."""
+        inside = np.flatnonzero((self.stamps >= start) & (self.stamps <= end))
+        return Trajectory(self.stamps[inside], tuple(self.poses[i] for i in inside))
+
+    def from_origin(self) -> Trajectory:
+        """The same motion, expressed in the first camera frame."""
+        if not self.poses:
+            return self
+        return Trajectory(self.stamps, tuple(self.poses[0].between(pose) for pose in self.poses))
+
+    def interpolate(self, stamps: NDArray[np.float64], max_gap: float = 0.5) -> Trajectory:
+        """Poses at other times, on the geodesic between neighbours.
+
+        Times outside the trajectory, or in a gap of more than `max_gap` seconds, are left out.
+        """
+        kept: list[float] = []
+        poses: list[gtsam.Pose3] = []
+        for stamp in stamps:
+            after = int(np.searchsorted(self.stamps, stamp))
+            if after < len(self) and self.stamps[after] == stamp:
+                pose = self.poses[after]
+            elif 0 < after < len(self) and (gap := self.stamps[after] - self.stamps[after - 1]) <= max_gap:
+                fraction = (stamp - self.stamps[after - 1]) / gap
+                pose = interpolate(self.poses[after - 1], self.poses[after], fraction)
+            else:
+                continue
+            kept.append(float(stamp))
+            poses.append(pose)
+        return Trajectory(np.array(kept), tuple(poses))
+
+    def write_tum(self, path: Path) -> None:
+        """Write `stamp tx ty tz qx qy qz qw` lines (TUM RGB-D benchmark)."""
+        path.write_text("".join(tum_line(s, p) for s, p in zip(self.stamps, self.poses, strict=True)))
+
+    def write_kitti(self, path: Path) -> None:
+        """Write the rows of the 3x4 matrices, one pose a line (KITTI odometry benchmark)."""
+        path.write_text("".join(kitti_line(pose) for pose in self.poses))
+
+    @classmethod
+    def read_tum(cls, path: Path) -> Trajectory:
+        """Read a TUM file; raises TrajectoryError naming the file and what is wrong with it."""
+        rows = _read_table(path, 8)
+        quaternions = rows[:, 4:]
+        norms = np.linalg.norm(quaternions, axis=1)
+        if np.any(np.abs(norms - 1) > 0.01):
+            row = int(np.argmax(np.abs(norms - 1)))
+            raise TrajectoryError(f"{path}: pose {row + 1} has a quaternion of length {norms[row]:.3g} instead of 1")
+        poses = tuple(
+            gtsam.Pose3(gtsam.Rot3.Quaternion(qw, qx, qy, qz), np.array([x, y, z]))
+            for x, y, z, qx, qy, qz, qw in np.column_stack([rows[:, 1:4], quaternions / norms[:, None]])
+        )
+        return _named(path, lambda: cls(rows[:, 0], poses))
+
+    @classmethod
+    def read_kitti(cls, path: Path, stamps: NDArray[np.float64] | None = None) -> Trajectory:
+        """Read a KITTI pose file; without `stamps`, (N,) seconds, rows are numbered 0, 1, 2, ..."""
+        rows = _read_table(path, 12)
+        if stamps is None:
+            stamps = np.arange(len(rows), dtype=float)
+        elif len(stamps) != len(rows):
+            raise TrajectoryError(f"{path} has {len(rows)} poses, but the sequence has {len(stamps)} frames")
+        bottom = np.tile([0.0, 0.0, 0.0, 1.0], (len(rows), 1))
+        matrices = np.hstack([rows, bottom]).reshape(-1, 4, 4)
+        return _named(path, lambda: cls.from_matrices(stamps, matrices))
+
+    def to_evo(self) -> PoseTrajectory3D:
+        """As evo's own type."""
+        from evo.core.trajectory import PoseTrajectory3D
+
+        return PoseTrajectory3D(poses_se3=list(self.matrices), timestamps=self.stamps)
+
+
+def pose_from_matrix(matrix: NDArray[np.float64]) -> gtsam.Pose3:
+    """The pose of a 4x4 or 3x4 matrix whose rotation may be rounded (text files)."""
+    rotation = gtsam.Rot3.ClosestTo(np.ascontiguousarray(matrix[:3, :3]))
+    return gtsam.Pose3(rotation, np.array(matrix[:3, 3]))
+
+
+def interpolate(a: gtsam.Pose3, b: gtsam.Pose3, fraction: float) -> gtsam.Pose3:
+    """Between two poses: position on the straight line, rotation on the geodesic; fraction 0 gives a, 1 gives b."""
+    rotation = a.rotation().slerp(fraction, b.rotation())
+    return gtsam.Pose3(rotation, (1 - fraction) * a.translation() + fraction * b.translation())
+
+
+def tum_line(stamp: float, pose: gtsam.Pose3) -> str:
+    """One line of a TUM file, with all digits of the pose."""
+    x, y, z = pose.translation()
+    q = pose.rotation().toQuaternion()
+    return f"{stamp:.9f} {x:.17g} {y:.17g} {z:.17g} {q.x():.17g} {q.y():.17g} {q.z():.17g} {q.w():.17g}\n"
+
+
+def kitti_line(pose: gtsam.Pose3) -> str:
+    """One line of a KITTI pose file, with all digits of the pose."""
+    return " ".join(f"{number:.17g}" for number in pose.matrix()[:3].ravel()) + "\n"
+
+
+def _read_table(path: Path, columns: int) -> NDArray[np.float64]:
+    try:
+        lines = [line for line in path.read_text().splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    except (OSError, UnicodeDecodeError) as error:
+        raise TrajectoryError(f"{path} cannot be read as a trajectory: {error}") from None
+    if not lines:
+        raise TrajectoryError(f"{path} holds no poses")
+    rows = []
+    for number, line in enumerate(lines, 1):
+        try:
+            row = [float(word) for word in line.replace(",", " ").split()]
+        except ValueError:
+            raise TrajectoryError(f"{path}: pose {number} is not a row of numbers: '{line[:60]}'") from None
+        if len(row) != columns:
+            raise TrajectoryError(f"{path}: pose {number} has {len(row)} numbers instead of {columns}")
+        rows.append(row)
+    return np.array(rows)
+
+
+def _require(good: NDArray[np.bool_], complaint: str) -> None:
+    if not np.all(good):
+        raise TrajectoryError(f"the trajectory {complaint}, at pose {int(np.argmin(good)) + 1} of {len(good)}")
+
+
+def _named(path: Path, make: Callable[[], Trajectory]) -> Trajectory:
+    try:
+        return make()
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{path}: {error}") from None

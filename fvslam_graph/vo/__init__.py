@@ -1,0 +1,1 @@
+"""Visual odometry: the relative pose of every frame, with its metric scale."""
