@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -84,7 +83,8 @@ class Camera:
         """Undistorted image coordinates (N, 2) at unit depth (x/z, y/z) of pixels (N, 2)."""
         pixels = np.asarray(pixels, float).reshape(-1, 2)
         if self.distortion is Distortion.NONE:
-            return (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
+            normalized: NDArray[np.float64] = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
+            return normalized
         undistort = cv2.fisheye.undistortPoints if self.distortion is Distortion.EQUIDISTANT else cv2.undistortPoints
         return np.asarray(undistort(pixels[:, None], self.K, np.array(self.coefficients)), float).reshape(-1, 2)
 
@@ -106,7 +106,8 @@ class Camera:
 
     def _distort(self, rays: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.distortion is Distortion.NONE:
-            return rays[:, :2] * (self.fx, self.fy) + (self.cx, self.cy)
+            ideal: NDArray[np.float64] = rays[:, :2] * (self.fx, self.fy) + (self.cx, self.cy)
+            return ideal
         zero = np.zeros(3)
         if self.distortion is Distortion.EQUIDISTANT:
             pixels, _ = cv2.fisheye.projectPoints(rays[:, None], zero, zero, self.K, np.array(self.coefficients))
@@ -140,22 +141,3 @@ class Rectifier:
         """The rectified image; `image` has the size of the source camera."""
         rectified: Image = cv2.remap(image, *self.maps, cv2.INTER_LINEAR)
         return rectified
-
-
-def camera_from_intrinsics(
-    size: tuple[int, int],
-    intrinsics: Sequence[float],
-    distortion: Distortion,
-    coefficients: Sequence[float],
-) -> Camera:
-    """A camera from plain lists as calibration files hold them.
-
-    Args:
-        size: (width, height), pixels.
-        intrinsics: fx, fy, cx, cy, pixels.
-        distortion: Lens model.
-        coefficients: Its coefficients; all-zero ones are taken as no distortion.
-    """
-    if not np.any(np.asarray(coefficients, float)) and distortion is Distortion.RADTAN:
-        distortion, coefficients = Distortion.NONE, ()
-    return Camera(*size, *map(float, intrinsics), distortion, tuple(map(float, coefficients)))

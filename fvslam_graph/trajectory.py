@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import gtsam
 import numpy as np
@@ -57,6 +57,7 @@ class Trajectory:
     @classmethod
     def from_matrices(cls, stamps: NDArray[np.float64], matrices: NDArray[np.float64]) -> Trajectory:
         """From homogeneous matrices (N, 4, 4); rotations are brought back onto SO(3)."""
+        _require(np.isfinite(matrices).all(axis=(1, 2)), "has a pose with a number that is not finite")
         return cls(np.asarray(stamps, float), tuple(pose_from_matrix(matrix) for matrix in matrices))
 
     @cached_property
@@ -114,9 +115,12 @@ class Trajectory:
         path.write_text("".join(kitti_line(pose) for pose in self.poses))
 
     @classmethod
-    def read_tum(cls, path: Path) -> Trajectory:
-        """Read a TUM file; raises TrajectoryError naming the file and what is wrong with it."""
-        rows = _read_table(path, 8)
+    def read_tum(cls, path: Path, unfinished: bool = False) -> Trajectory:
+        """Read a TUM file; raises TrajectoryError naming the file and what is wrong with it.
+
+        With `unfinished`, a last line without its line end is left out: its writer was stopped in the middle.
+        """
+        rows = _read_table(path, 8, unfinished)
         quaternions = rows[:, 4:]
         norms = np.linalg.norm(quaternions, axis=1)
         if np.any(np.abs(norms - 1) > 0.01):
@@ -171,11 +175,14 @@ def kitti_line(pose: gtsam.Pose3) -> str:
     return " ".join(f"{number:.17g}" for number in pose.matrix()[:3].ravel()) + "\n"
 
 
-def _read_table(path: Path, columns: int) -> NDArray[np.float64]:
+def _read_table(path: Path, columns: int, unfinished: bool = False) -> NDArray[np.float64]:
     try:
-        lines = [line for line in path.read_text().splitlines() if line.strip() and not line.lstrip().startswith("#")]
+        text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
         raise TrajectoryError(f"{path} cannot be read as a trajectory: {error}") from None
+    if unfinished:
+        text = text[: text.rfind("\n") + 1]
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         raise TrajectoryError(f"{path} holds no poses")
     rows = []
@@ -190,7 +197,7 @@ def _read_table(path: Path, columns: int) -> NDArray[np.float64]:
     return np.array(rows)
 
 
-def _require(good: NDArray[np.bool_], complaint: str) -> None:
+def _require(good: Any, complaint: str) -> None:
     if not np.all(good):
         raise TrajectoryError(f"the trajectory {complaint}, at pose {int(np.argmin(good)) + 1} of {len(good)}")
 

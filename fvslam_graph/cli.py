@@ -1,0 +1,199 @@
+"""The command line. Each command imports what it needs, so that `--help` is quick."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from fvslam_graph.errors import FvslamError
+
+if TYPE_CHECKING:
+    from fvslam_graph.config import Config
+    from fvslam_graph.evaluation.alignment import Alignment
+    from fvslam_graph.sequences.base import Sequence
+
+app = typer.Typer(
+    name="fvslam",
+    help="Monocular visual odometry on any recording: run it, evaluate it with evo, plot it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+_T = TypeVar("_T")
+
+SequencePath = Annotated[
+    str,
+    typer.Argument(
+        metavar="PATH",
+        help="Folder of KITTI, EuRoC, TUM, Karlsruhe or plain images, a video, or synthetic:uav, synthetic:drive.",
+    ),
+]
+Frames = Annotated[str | None, typer.Option(help="Part of the sequence, START:STOP.", metavar="A:B")]
+Stride = Annotated[int, typer.Option(help="Take every n-th frame.", min=1)]
+ImageScale = Annotated[float, typer.Option(help="Resize the images by this factor, at most 1.")]
+CameraHeight = Annotated[float | None, typer.Option(help="Metres from the camera to the ground.")]
+CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera looks below the horizon.")]
+Align = Annotated[str, typer.Option(help="none, origin, se3 or sim3.")]
+
+
+@app.command()
+def run(
+    path: SequencePath,
+    out: Annotated[Path | None, typer.Option(help="Folder of the run; runs/<sequence>-<preset> if not given.")] = None,
+    preset: Annotated[str, typer.Option(help="paper or tuned.")] = "tuned",
+    config: Annotated[Path | None, typer.Option(help="YAML file with settings that differ from the preset.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Of all random numbers.")] = None,
+    frames: Frames = None,
+    stride: Stride = 1,
+    image_scale: ImageScale = 1.0,
+    camera_height: CameraHeight = None,
+    camera_pitch: CameraPitch = None,
+) -> None:
+    """Run visual odometry on a sequence and keep the result in a folder."""
+    from fvslam_graph.config import load_config
+    from fvslam_graph.sequences.opening import open_sequence
+
+    single = [*(settings or []), *([] if seed is None else [f"seed={seed}"])]
+    chosen = load_config(preset, config, single)
+    sequence = open_sequence(
+        path,
+        frames=frames,
+        stride=stride,
+        scale=image_scale,
+        camera_height=camera_height,
+        camera_pitch=camera_pitch,
+    )
+    folder = out or Path("runs") / f"{sequence.name}-{chosen.preset}"
+    _run(sequence, chosen, folder)
+    typer.echo(f"next: fvslam evaluate {folder}; fvslam plot {folder}")
+
+
+@app.command()
+def evaluate(
+    estimate: Annotated[Path, typer.Argument(help="Run folder, or a TUM or KITTI file.")],
+    reference: Annotated[Path | None, typer.Option(help="TUM or KITTI file; a run knows its own ground truth.")] = None,
+    align: Align = "se3",
+) -> None:
+    """Compare a trajectory with a reference: APE, RPE, drift, coverage, consistency."""
+    from rich.console import Console
+
+    from fvslam_graph.evaluation.report import rich_table, summary_table
+    from fvslam_graph.evaluation.runs import evaluate_files, evaluate_run
+
+    alignment = _alignment(align)
+    console = Console()
+    if estimate.is_dir():
+        evaluation = evaluate_run(estimate, reference, alignment)
+        console.print(rich_table([estimate]))
+    elif reference is None:
+        raise FvslamError(f"{estimate} is a file: give the trajectory to compare it with by --reference")
+    else:
+        evaluation = evaluate_files(estimate, reference, alignment)
+    console.print(summary_table(evaluation))
+
+
+@app.command()
+def plot(
+    runs: Annotated[list[Path], typer.Argument(help="Run folders.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the plots; the first run's if not given.")] = None,
+    align: Align = "se3",
+) -> None:
+    """Plot trajectories, errors, speed, scale and inliers of one or several runs, as PNG and PDF."""
+    from fvslam_graph.evaluation.plots import plot_runs
+
+    for file in plot_runs(runs, out or runs[0], _alignment(align)):
+        typer.echo(file)
+
+
+@app.command()
+def info(path: SequencePath, camera_height: CameraHeight = None, camera_pitch: CameraPitch = None) -> None:
+    """Say what is recognised in a folder: format, frames, camera, ground truth, scale, gaps."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from fvslam_graph.sequences.describe import describe
+    from fvslam_graph.sequences.opening import open_sequence
+
+    table = Table(show_header=False, box=None)
+    for name, value in describe(open_sequence(path, camera_height=camera_height, camera_pitch=camera_pitch)):
+        table.add_row(name, value)
+    Console().print(table)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the runs.")] = Path("runs") / "demo",
+    frames: Annotated[int, typer.Option(help="Length of the flight.", min=10)] = 200,
+) -> None:
+    """Fly a small UAV over generated terrain, estimate its motion in several ways and compare them."""
+    from rich.console import Console
+
+    from fvslam_graph.config import load_config
+    from fvslam_graph.evaluation.alignment import Alignment
+    from fvslam_graph.evaluation.plots import plot_runs
+    from fvslam_graph.evaluation.report import rich_table
+    from fvslam_graph.evaluation.runs import evaluate_run
+    from fvslam_graph.sequences.opening import open_sequence
+
+    sequence = open_sequence(f"synthetic:uav?frames={frames}")
+    variants = {
+        "tuned": load_config("tuned"),
+        "tuned-map-scale": load_config("tuned", settings=["scale.source=map"]),
+        "paper": load_config("paper"),
+    }
+    folders = []
+    for name, config in variants.items():
+        folders.append(out / name)
+        _run(sequence, config, folders[-1])
+        evaluate_run(folders[-1], align=Alignment.SE3)
+    plots = plot_runs(folders, out / "plots", Alignment.SE3)
+    Console().print(rich_table(folders))
+    typer.echo(f"plots: {', '.join(str(file) for file in plots if file.suffix == '.png')}")
+
+
+def _run(sequence: Sequence, config: Config, folder: Path) -> None:
+    from fvslam_graph.pipeline import applicable, estimate, facts
+    from fvslam_graph.results import RunWriter
+
+    effective = applicable(config, sequence)
+    if effective != config:
+        typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
+    with RunWriter(folder, effective, facts(sequence, effective), sequence.ground_truth) as writer:
+        for result in _progress(estimate(sequence, effective), len(sequence), sequence.name):
+            writer.add(result)
+    typer.echo(f"{len(sequence)} frames of {sequence.name}: {folder}")
+
+
+def _progress(items: Iterable[_T], total: int, label: str) -> Iterator[_T]:
+    """A bar on a terminal, nothing elsewhere."""
+    from rich.console import Console
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    return iter(track(items, label, total, console=console, disable=not console.is_terminal, transient=True))
+
+
+def _alignment(name: str) -> Alignment:
+    from fvslam_graph.evaluation.alignment import Alignment
+
+    try:
+        return Alignment(name)
+    except ValueError:
+        raise FvslamError(f"--align is one of {', '.join(Alignment)}, not '{name}'") from None
+
+
+def main() -> None:
+    """Run the command line: exit code 0, 1 with one sentence on what is wrong, 2 for wrong usage."""
+    try:
+        app()
+    except FvslamError as error:
+        typer.echo(f"fvslam: {error}", err=True)
+        sys.exit(1)

@@ -1,0 +1,161 @@
+"""All settings, validated and frozen, one group per block, and the two presets."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
+
+from fvslam_graph.errors import ConfigError
+
+
+class _Group(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class FeatureSettings(_Group):
+    """Corners and their association."""
+
+    association: Literal["ncc", "klt"] = "klt"
+    count: PositiveInt = Field(500, ge=8)  # corners per image, spread over a grid
+    threshold: PositiveInt = Field(10, le=255)  # FAST: grey levels between a corner and its surround
+    spacing: int = Field(8, ge=0)  # pixels between new corners and those that exist
+    klt_window: PositiveInt = Field(11, ge=5)  # pixels, side of the aligned patch
+    klt_levels: int = Field(3, ge=0, le=6)  # pyramid levels above the full image
+    klt_backward: PositiveFloat = 0.5  # pixels a point may miss its start by, tracked there and back
+    ncc_threshold: float = Field(0.8, ge=0, le=1)  # least correlation of matched patches
+    ncc_radius: PositiveFloat = 80.0  # pixels, how far a match is looked for along each axis
+
+
+class VoSettings(_Group):
+    """Relative pose from two views."""
+
+    min_inliers: PositiveInt = Field(15, ge=6)  # fewer, and the motion model carries on
+    ransac_threshold: PositiveFloat = 1.0  # pixels, Sampson distance of an inlier
+    ransac_iterations: PositiveInt = 50  # at least
+    static_parallax: PositiveFloat = 0.3  # pixels; less, beyond a small rotation, is standing still
+    static_rotation: PositiveFloat = 0.0035  # rad; a vehicle that stands still may shake by this
+    keyframe_parallax: PositiveFloat = 4.0  # pixels; above, two views tell a baseline, and the image is the reference
+    keyframe_tracks: float = Field(0.5, ge=0, le=1)  # share of the reference's points; below, likewise
+    max_acceleration: PositiveFloat = 3.0  # m/s^2, standard deviation, of the motion model
+    max_angular_acceleration: PositiveFloat = 1.0  # rad/s^2, likewise
+
+
+class ScaleSource(StrEnum):
+    """Where metres come from."""
+
+    PLANE = "plane"  # known distance to the ground plane
+    MAP = "map"  # relative: tracks that two consecutive pairs have in common; the first baseline is 1 m
+    ORACLE = "oracle"  # the ground truth
+    UNIT = "unit"  # every baseline is 1 m
+
+
+class GroundSettings(_Group):
+    """The ground plane as a scale source."""
+
+    patches: PositiveInt = 400  # aligned per pair of images
+    min_patches: PositiveInt = 40  # fewer, and the ground was not seen
+    reach: PositiveFloat = 15.0  # heights; how far away ground is used
+    half_width: PositiveFloat = 4.0  # heights; how far to either side
+    roughness: PositiveFloat = 0.03  # share of the height by which true ground departs from its plane
+
+
+class ScaleSettings(_Group):
+    """Metres per unit baseline."""
+
+    source: ScaleSource = ScaleSource.PLANE
+    plane_sigma: PositiveFloat = 0.05  # of log scale from one view of the plane, with what neighbouring views share
+    map_sigma: PositiveFloat = 0.005  # of log scale, added for each keyframe over which the map carries it
+    ground: GroundSettings = GroundSettings()
+
+
+class Config(_Group):
+    """Everything that a run depends on, apart from the sequence."""
+
+    preset: Literal["paper", "tuned"] = "tuned"  # which one the settings started from
+    seed: int = Field(0, ge=0)
+    features: FeatureSettings = FeatureSettings()
+    vo: VoSettings = VoSettings()
+    scale: ScaleSettings = ScaleSettings()
+
+
+# The defaults above are `tuned`. `paper` is what the paper says: FAST corners matched as patterns between consecutive
+# frames, 25 features and more.
+_PAPER: dict[str, Any] = {
+    "features": {"association": "ncc", "threshold": 20},
+    "vo": {"min_inliers": 25, "keyframe_parallax": 0.7},
+}
+
+
+def load_config(preset: str = "tuned", file: Path | None = None, settings: Sequence[str] = ()) -> Config:
+    """A preset, changed by a YAML file and then by single settings.
+
+    Args:
+        preset: "paper" or "tuned".
+        file: A mapping with the groups and names of Config; what it does not name stays as in the preset.
+        settings: "group.name=value" each, value in YAML.
+
+    Raises:
+        ConfigError: A file cannot be read, a name is unknown or a value is out of its range.
+    """
+    values: dict[str, Any] = {"preset": preset}
+    if preset == "paper":
+        _merge(values, _PAPER)
+    if file is not None:
+        try:
+            loaded = yaml.safe_load(file.read_text())
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise ConfigError(f"{file} cannot be read as settings: {' '.join(str(error).split())}") from None
+        if not isinstance(loaded, dict):
+            raise ConfigError(f"{file} must hold a mapping of settings, such as 'vo: {{min_inliers: 20}}'")
+        _merge(values, loaded)
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals:
+            raise ConfigError(f"a setting is written group.name=value, not '{setting}'")
+        try:
+            nested: Any = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise ConfigError(f"the value of '{setting}' is not valid YAML") from None
+        for key in reversed(name.strip().split(".")):
+            nested = {key: nested}
+        _merge(values, nested)
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError(_explain(error)) from None
+
+
+def _merge(values: dict[str, Any], changes: dict[str, Any]) -> None:
+    for key, change in changes.items():
+        if isinstance(change, dict) and isinstance(values.get(key), dict):
+            _merge(values[key], change)
+        else:
+            values[key] = dict(change) if isinstance(change, dict) else change
+
+
+def _explain(error: ValidationError) -> str:
+    """The first complaint as one sentence; an unknown name gets the nearest valid one."""
+    complaint = error.errors()[0]
+    name = ".".join(map(str, complaint["loc"]))
+    if complaint["type"] == "extra_forbidden":
+        names = _names(Config)
+        nearest = difflib.get_close_matches(name, names, 1, 0) or names
+        return f"there is no setting '{name}'; the nearest is '{nearest[0]}'"
+    return f"the setting '{name}' cannot be {complaint['input']!r}: {complaint['msg'].lower()}"
+
+
+def _names(group: type[BaseModel], prefix: str = "") -> list[str]:
+    names = []
+    for name, field in group.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            names += _names(inner, f"{prefix}{name}.")
+        else:
+            names.append(prefix + name)
+    return names

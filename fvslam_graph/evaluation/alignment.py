@@ -1,0 +1,22 @@
+"""The four ways to bring an estimate into the world of its reference."""
+
+from enum import StrEnum
+
+
+class Alignment(StrEnum):
+    """How the estimate is brought into the world of the reference before they are compared."""
+
+    NONE = "none"
+    ORIGIN = "origin"  # the first poses coincide
+    SE3 = "se3"  # least squares over all positions (Umeyama)
+    SIM3 = "sim3"  # the same with one scale factor
+
+    @property
+    def options(self) -> dict[str, bool]:
+        """As evo's `ape` and `rpe` take it."""
+        return {
+            Alignment.NONE: {},
+            Alignment.ORIGIN: {"align_origin": True},
+            Alignment.SE3: {"align": True},
+            Alignment.SIM3: {"align": True, "correct_scale": True},
+        }[self]

@@ -1,0 +1,200 @@
+"""Absolute and relative pose error with evo, drift and consistency: everything that is said about one trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.association import Association, associate
+from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
+from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
+from fvslam_graph.files import write_json, writing
+from fvslam_graph.results import METRICS, REFERENCE, Relatives
+from fvslam_graph.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from evo.core.result import Result
+    from evo.core.trajectory import PoseTrajectory3D
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How good an estimate is.
+
+    Attributes:
+        name: Of the estimate.
+        alignment: The one that was used.
+        association: Estimate and reference, pose by pose.
+        poses: How many the estimate has.
+        frames: How many images there were; None where that is not known.
+        scale: Factor that brings the estimate to the size of the reference (Umeyama), whatever the alignment; NaN where
+            the motion does not determine it.
+        errors: evo's results, see `evaluate`; their statistics are in metres and degrees.
+        drift: Of the estimate as it is.
+        drift_scaled: After multiplication by `scale`.
+        consistency: NEES of relative motions; None where there are no covariances.
+        notes: What is missing or was done differently, and why; one sentence each.
+    """
+
+    name: str
+    alignment: Alignment
+    association: Association
+    poses: int
+    frames: int | None
+    scale: float
+    errors: dict[str, Result]
+    drift: Drift
+    drift_scaled: Drift
+    consistency: Consistency | None
+    notes: tuple[str, ...]
+
+    @property
+    def coverage(self) -> float | None:
+        """Poses out / frames in."""
+        return self.poses / self.frames if self.frames else None
+
+    def summary(self) -> dict[str, Any]:
+        """What metrics.json holds."""
+        return {
+            "name": self.name,
+            "alignment": self.alignment.value,
+            "association": "reference interpolated" if self.association.interpolated else "nearest stamps",
+            "poses": self.poses,
+            "frames": self.frames,
+            "matched": len(self.association.indices),
+            "coverage": self.coverage,
+            "scale": self.scale,
+            "path_length": self.association.reference.path_length,
+            **{name: result.stats for name, result in self.errors.items()},
+            "drift": asdict(self.drift),
+            "drift_scaled": asdict(self.drift_scaled),
+            "nees": self.consistency and asdict(self.consistency),
+            "notes": self.notes,
+        }
+
+    def write(self, folder: Path) -> None:
+        """Write metrics.json, evo's result zips (`ape_trans.zip`, ...; see `evo_res`) and the associated reference.
+
+        `evo_ape` and `evo_rpe` find the same numbers for `reference.tum` and the file of the estimate.
+
+        Raises:
+            ResultsError: The folder cannot be written.
+        """
+        from evo.tools.file_interface import save_res_file
+
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            self.association.reference.write_tum(folder / REFERENCE)
+            for name, result in self.errors.items():
+                save_res_file(folder / f"{name}.zip", result)
+            write_json(folder / METRICS, self.summary())
+
+
+def evaluate(
+    estimate: Trajectory,
+    reference: Trajectory,
+    align: Alignment = Alignment.SE3,
+    name: str = "estimate",
+    frames: int | None = None,
+    relatives: Relatives | None = None,
+) -> Evaluation:
+    """Compare an estimate with a reference.
+
+    The errors are: `ape_trans` (m) and `ape_rot` (deg), the absolute pose error; `rpe_trans` and `rpe_rot`, the
+    relative pose error from pose to pose (evo: delta 1, unit f); `rpe_1m_trans` and `rpe_1m_rot`, the same over one
+    metre of the reference's path (evo: delta 1, unit m, pairs from the reference). All pairs are consecutive.
+
+    Args:
+        estimate: world_T_camera.
+        reference: world_T_camera, in a world of its own; the stamps need not be the same.
+        align: Where the motion does not determine an SE(3) or Sim(3) alignment, ORIGIN takes its place, with a note.
+        name: Of the estimate, in evo's results.
+        frames: How many images there were.
+        relatives: Motions between the poses of the estimate; NEES is over those that have a covariance.
+
+    Raises:
+        TrajectoryError: Fewer than two poses have a reference.
+    """
+    association = associate(estimate, reference)
+    notes = []
+    scale = _scale(association)
+    if scale is None and align in (Alignment.SE3, Alignment.SIM3):
+        notes.append(f"the motion does not determine an alignment by {align}: aligned at the origin")
+        align = Alignment.ORIGIN
+    scale = float("nan") if scale is None else scale
+
+    errors = _errors(association, align, name)
+    if "rpe_1m_trans" not in errors:
+        notes.append("no relative pose error over 1 m: the path is shorter")
+
+    matrices = association.estimate.matrices
+    scaled = matrices.copy()
+    scaled[:, :3, 3] *= scale
+    if (length := association.reference.path_length) <= LENGTHS[0]:
+        notes.append(f"no t_rel and r_rel: the path of {length:.1f} m is shorter than {LENGTHS[0]:.0f} m")
+
+    consistent = None
+    if relatives is not None:
+        pose_errors, covariances = relative_errors(association, relatives, scale if align is Alignment.SIM3 else 1.0)
+        consistent = consistency(pose_errors, covariances) if len(pose_errors) else None
+    if consistent is None:
+        notes.append("no NEES: no relative motion has a covariance and a reference")
+    return Evaluation(
+        name=name,
+        alignment=align,
+        association=association,
+        poses=len(estimate),
+        frames=frames,
+        scale=scale,
+        errors=errors,
+        drift=drift(matrices, association.reference.matrices),
+        drift_scaled=drift(scaled, association.reference.matrices),
+        consistency=consistent,
+        notes=tuple(notes),
+    )
+
+
+def _scale(association: Association) -> float | None:
+    """Umeyama's scale factor; None for degenerate motions."""
+    from evo.core.geometry import GeometryException, umeyama_alignment
+
+    try:
+        _, _, scale = umeyama_alignment(
+            association.estimate.positions.T, association.reference.positions.T, with_scale=True
+        )
+    except GeometryException:
+        return None
+    return float(scale)
+
+
+def _errors(association: Association, align: Alignment, name: str) -> dict[str, Result]:
+    from evo.core.filters import FilterException
+    from evo.core.metrics import PoseRelation, Unit
+    from evo.main_ape import ape
+    from evo.main_rpe import rpe
+
+    errors = {}
+    for part, relation in (("trans", PoseRelation.translation_part), ("rot", PoseRelation.rotation_angle_deg)):
+        errors[f"ape_{part}"] = ape(*_evo_pair(association, name), relation, **align.options)
+        for key, unit in (("rpe", Unit.frames), ("rpe_1m", Unit.meters)):
+            try:
+                errors[f"{key}_{part}"] = rpe(
+                    *_evo_pair(association, name),
+                    relation,
+                    delta=1.0,
+                    delta_unit=unit,
+                    pairs_from_reference=True,
+                    **align.options,
+                )
+            except FilterException:  # no pair of poses is that far apart
+                continue
+    return errors
+
+
+def _evo_pair(association: Association, name: str) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:
+    """Fresh copies, since evo aligns in place; the names label its results."""
+    reference, estimate = association.reference.to_evo(), association.estimate.to_evo()
+    reference.name, estimate.name = "reference", name
+    return reference, estimate

@@ -1,0 +1,123 @@
+"""One table of many runs, for the terminal and as Markdown, and one of everything about a single trajectory."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fvslam_graph.errors import ResultsError
+from fvslam_graph.results import METRICS, Run, read_run
+from fvslam_graph.trajectory import Status
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from fvslam_graph.evaluation.metrics import Evaluation
+
+CAPTION = (
+    "Online trajectories. APE and RPE: RMSE, RPE from frame to frame. t_rel and r_rel: 100-800 m, no scale correction."
+)
+NUMBERS = 4  # the first columns are text, the others numbers
+COLUMNS = (
+    *("run", "mode", "scale", "status"),
+    *("coverage", "tracked", "align", "APE (m)", "RPE (m)", "t_rel (%)", "r_rel (deg/100 m)"),
+    *("NEES (95 % band)", "ms/frame", "peak MB"),
+)
+
+
+def markdown_table(folders: Sequence[Path]) -> str:
+    """The runs as a Markdown table, one row each, with the caption below; see `report_rows`."""
+    rule = ["---"] * NUMBERS + ["---:"] * (len(COLUMNS) - NUMBERS)
+    rows = ([cell.replace("|", "\\|") for cell in row] for row in report_rows(folders))
+    lines = (" | ".join(cells).join(("| ", " |")) for cells in (COLUMNS, rule, *rows))
+    return "\n".join(lines) + f"\n\n{CAPTION}\n"
+
+
+def rich_table(folders: Sequence[Path]) -> Table:
+    """The runs as a table for the terminal, one row each; see `report_rows`."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(caption=CAPTION)
+    for number, column in enumerate(COLUMNS):
+        table.add_column(column, justify="left" if number < NUMBERS else "right")
+    for row in report_rows(folders):
+        table.add_row(*map(escape, row))
+    return table
+
+
+def summary_table(evaluation: Evaluation) -> Table:
+    """All metrics of one trajectory as a table for the terminal, with the notes below."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    association = evaluation.association
+    how = "with the reference interpolated" if association.interpolated else "by nearest stamps"
+    table = Table(title=escape(evaluation.name), caption="\n".join(evaluation.notes), show_header=False)
+    if evaluation.coverage is not None:
+        table.add_row("coverage", f"{100 * evaluation.coverage:.1f} % of {evaluation.frames} frames")
+    table.add_row("association", f"{len(association.indices)} of {evaluation.poses} poses {how}")
+    table.add_row("alignment", f"{evaluation.alignment} (scale to the reference {evaluation.scale:.4f})")
+    for name, result in evaluation.errors.items():
+        unit = "deg" if name.endswith("rot") else "m"
+        stats = {key: f"{result.stats[key]:.4g}" for key in ("rmse", "median", "max")}
+        table.add_row(name, f"RMSE {stats['rmse']} {unit}, median {stats['median']}, max {stats['max']}")
+    if evaluation.drift.segments:
+        table.add_row("t_rel", f"{evaluation.drift.t_rel:.2f} % ({evaluation.drift_scaled.t_rel:.2f} % after scaling)")
+        table.add_row("r_rel", f"{evaluation.drift.r_rel:.3f} deg/100 m, {evaluation.drift.segments} segments")
+    if evaluation.consistency is not None:
+        nees = evaluation.consistency
+        table.add_row("NEES", f"{nees.mean:.2f} (95 % band {nees.low:.2f}-{nees.high:.2f}, {nees.count} motions)")
+    return table
+
+
+def report_rows(folders: Sequence[Path]) -> list[list[str]]:
+    """The cells of COLUMNS for each run; "-" where a run failed early, has no ground truth or was not evaluated.
+
+    Raises:
+        ResultsError: A folder is not that of a run, or damaged.
+    """
+    return [_row(read_run(folder)) for folder in folders]
+
+
+def _row(run: Run) -> list[str]:
+    path = run.folder / METRICS
+    try:
+        metrics = json.loads(path.read_text()) if path.exists() else {}
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path} cannot be read, evaluate the run again: {error}") from None
+    seen = np.isin(run.frames.get("status", ()), (Status.TRACKED, Status.STATIC)).mean() if len(run.online) else np.nan
+    times = [column for name, column in run.frames.items() if name.endswith("_ms")]
+    return [
+        run.name,
+        run.info.get("mode", "-"),
+        run.info.get("scale_source", "-"),
+        run.info.get("status", "-"),
+        _cell(100 * run.coverage, ".1f", " %"),
+        _cell(100 * run.coverage * seen, ".1f", " %"),
+        metrics.get("alignment", "-"),
+        _cell(_pick(metrics, "ape_trans", "rmse"), ".3f"),
+        _cell(_pick(metrics, "rpe_trans", "rmse"), ".4f"),
+        _cell(_pick(metrics, "drift", "t_rel"), ".2f"),
+        _cell(_pick(metrics, "drift", "r_rel"), ".3f"),
+        _consistency(metrics.get("nees")),
+        _cell(float(np.median(np.sum(times, axis=0))) if times else None, ".1f"),
+        _cell(_pick(run.info, "totals", "peak_memory_mb"), ".0f"),
+    ]
+
+
+def _pick(data: dict[str, Any], group: str, key: str) -> float | None:
+    value: float | None = data.get(group, {}).get(key)
+    return value
+
+
+def _cell(value: float | None, style: str, unit: str = "") -> str:
+    return "-" if value is None or np.isnan(value) else f"{value:{style}}{unit}"
+
+
+def _consistency(nees: dict[str, float] | None) -> str:
+    return f"{nees['mean']:.2f} ({nees['low']:.2f}-{nees['high']:.2f})" if nees else "-"

@@ -1,0 +1,64 @@
+"""Association by pyramidal Lucas-Kanade tracking."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Image
+from fvslam_graph.config import FeatureSettings
+from fvslam_graph.features.detection import BORDER, detect
+from fvslam_graph.features.tracks import Tracks
+
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
+
+
+class KltTracker:
+    """Aligns each point's patch in the reference image with the current image (Bouguet 2000), checked backwards.
+
+    Every image is aligned with the reference itself, never with the image before, so that errors do not add up while
+    one image stays the reference.
+    """
+
+    def __init__(self, settings: FeatureSettings) -> None:
+        self.settings = settings
+        self._image: Image | None = None
+        self._next_id = 0
+        self._ids = np.empty(0, np.int64)
+        self._points = np.empty((0, 2), np.float32)
+        self._guess = self._points  # where they were seen last
+
+    def track(self, image: Image) -> Tracks:
+        """The points of the reference that are found in `image`, forwards and back within `klt_backward` pixels."""
+        if self._image is None or not len(self._points):
+            return Tracks.none()
+        found, forward = self._align(self._image, image, self._points, self._guess, self.settings.klt_levels)
+        # The way back starts at the answer, so that the finest levels suffice.
+        returned, backward = self._align(image, self._image, found, self._points, 1)
+        height, width = image.shape
+        inside = np.all((found > BORDER) & (found < (width - BORDER - 1, height - BORDER - 1)), axis=1)
+        error = np.linalg.norm(returned - self._points, axis=1)
+        good = forward & backward & inside & (error < self.settings.klt_backward)
+        self._guess = np.where(good[:, None], found, self._guess)
+        return Tracks(self._ids[good], self._points[good].astype(float), found[good].astype(float))
+
+    def rebase(self, image: Image, kept: Tracks) -> Tracks:
+        """Make `image` the reference: its points, the kept tracks and new corners, are returned."""
+        corners = detect(image, self.settings, kept.current)
+        self._image = image
+        self._points = np.vstack([kept.current, corners]).astype(np.float32)
+        self._ids = np.concatenate([kept.ids, self._next_id + np.arange(len(corners))])
+        self._next_id += len(corners)
+        self._guess = self._points
+        points = self._points.astype(float)
+        return Tracks(self._ids, points, points)
+
+    def _align(
+        self, a: Image, b: Image, points: NDArray[np.float32], guess: NDArray[np.float32], levels: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        window = (self.settings.klt_window, self.settings.klt_window)
+        found, status, _ = cv2.calcOpticalFlowPyrLK(
+            a, b, points, guess.copy(), None, None, window, levels, _STOP, cv2.OPTFLOW_USE_INITIAL_FLOW
+        )
+        return found, status[:, 0] > 0

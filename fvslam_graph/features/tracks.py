@@ -1,0 +1,47 @@
+"""Which point of a reference image is which point of the current one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Image
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """N points seen in a reference image and in the current one.
+
+    Attributes:
+        ids: (N,) int64, the same number for the same point as long as it is followed.
+        reference: (N, 2) pixels in the reference image.
+        current: (N, 2) pixels in the current image.
+    """
+
+    ids: NDArray[np.int64]
+    reference: NDArray[np.float64]
+    current: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Tracks:
+        return Tracks(self.ids[chosen], self.reference[chosen], self.current[chosen])
+
+    @classmethod
+    def none(cls) -> Tracks:
+        """No tracks at all."""
+        return cls(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+
+
+class Association(Protocol):
+    """Finds the points of a reference image again in later images."""
+
+    def track(self, image: Image) -> Tracks:
+        """The points of the reference that are found in `image`, (H, W) uint8."""
+
+    def rebase(self, image: Image, kept: Tracks) -> Tracks:
+        """Make `image` the reference: its points, the kept tracks and new corners, are returned."""

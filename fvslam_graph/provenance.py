@@ -1,0 +1,50 @@
+"""Under which circumstances a run was made: versions, revision, machine, memory."""
+
+import os
+import platform
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from fvslam_graph import __version__
+
+_LIBRARIES = {"gtsam": "gtsam", "numpy": "numpy", "opencv": "opencv-python-headless", "poselib": "poselib"}
+
+
+def provenance() -> dict[str, Any]:
+    """Versions of what computed the run, the git revision (only in a checkout) and the machine."""
+    facts: dict[str, Any] = {
+        "versions": {
+            "fvslam_graph": __version__,
+            "python": platform.python_version(),
+            **{name: version(package) for name, package in _LIBRARIES.items()},
+        },
+        "machine": {"platform": platform.platform(), "cores": os.cpu_count()},
+    }
+    if (revision := _git_revision()) is not None:
+        facts["git"] = revision
+    return facts
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process so far, megabytes; NaN on systems that do not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return float("nan")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak * (1 if sys.platform == "darwin" else 1024) / 1e6  # macOS counts bytes, Linux kibibytes
+
+
+def _git_revision() -> str | None:
+    """Commit of the source, with "-dirty" where it was changed since; None outside of a checkout."""
+    root = Path(__file__).parents[1]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude", "*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None

@@ -1,0 +1,279 @@
+"""The folder of one run: what was estimated, frame by frame, and under which circumstances.
+
+A run is written while it goes on, so that a run that is interrupted or killed keeps every frame up to there.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+from zipfile import BadZipFile
+
+import gtsam
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from fvslam_graph.errors import ResultsError
+from fvslam_graph.files import replacing, write_json, writing
+from fvslam_graph.provenance import peak_memory_mb, provenance
+from fvslam_graph.trajectory import Status, Trajectory, kitti_line, tum_line
+
+ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
+SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"
+GROUND_TRUTH, FRAMES, COVARIANCES = "ground_truth.tum", "frames.csv", "covariances.npz"
+CONFIG, INFO, METRICS, REFERENCE = "config.yaml", "run.json", "metrics.json", "reference.tum"
+
+# Everything that a run, its evaluation and its plots leave in the folder; a new run into the same folder removes it.
+_OURS = (
+    *(ONLINE, ONLINE_KITTI, SMOOTHED, SMOOTHED_KITTI, GROUND_TRUTH, FRAMES, COVARIANCES, CONFIG, INFO),
+    *(METRICS, REFERENCE, "[ar]pe_*.zip", "plot_*.png", "plot_*.pdf"),
+)
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What an estimator says about one frame.
+
+    Attributes:
+        index: Position in the sequence, from 0; every frame has a result, in order.
+        stamp: Seconds.
+        pose: world_T_camera as known when the frame arrived.
+        status: How the pose came about.
+        previous: Index of the frame that `relative` starts from; `index` itself for the first frame.
+        relative: prev_T_cur.
+        covariance: (6, 6) of `relative` in its tangent (rotation, translation; rad, m); NaN where there is none.
+        measures: Columns of frames.csv, such as tracks, inliers, scale (m per unit baseline), scale_sigma.
+        times: Milliseconds by stage. Measures and stages have the same names in every frame of a run.
+    """
+
+    index: int
+    stamp: float
+    pose: gtsam.Pose3
+    status: Status
+    previous: int
+    relative: gtsam.Pose3
+    covariance: NDArray[np.float64]
+    measures: Mapping[str, float]
+    times: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Relatives:
+    """Estimated relative motions.
+
+    Attributes:
+        previous: (N,) index of the frame that the motion to frame i starts from.
+        prev_T_cur: (N, 4, 4) homogeneous matrices.
+        covariances: (N, 6, 6) in the tangent of prev_T_cur; NaN where there is none.
+    """
+
+    previous: NDArray[np.int64]
+    prev_T_cur: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run as read back; see `RunWriter` for the files.
+
+    Attributes:
+        folder: Where it was read from.
+        online: One pose a frame, as known when the frame arrived.
+        smoothed: The poses after all data, where the mode has them.
+        ground_truth: world_T_camera, with stamps and world of its own.
+        frames: Columns of frames.csv, (N,) each.
+        config: The effective settings.
+        info: run.json.
+        relatives: None where the run did not come to its end.
+    """
+
+    folder: Path
+    online: Trajectory
+    smoothed: Trajectory | None
+    ground_truth: Trajectory | None
+    frames: dict[str, NDArray[Any]]
+    config: dict[str, Any]
+    info: dict[str, Any]
+    relatives: Relatives | None
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.folder.resolve().name
+
+    @property
+    def coverage(self) -> float:
+        """Poses out / frames in; NaN where the number of frames was not stored."""
+        return len(self.online) / (self.info.get("frames") or np.nan)
+
+
+class RunWriter:
+    """Writes a run folder; a context manager around the loop over the frames.
+
+    A line per frame goes to `trajectory_online.tum` and `frames.csv`. `run.json` says "running" until the end, then
+    "finished", "interrupted" or "failed: ...". The end also brings `trajectory_online.kitti` and `covariances.npz`.
+
+    Args:
+        folder: Created; may hold a previous run, which is replaced.
+        config: The effective settings.
+        facts: Go into run.json. Known to evaluation and plots: `sequence` (name), `frames` (how many the sequence has),
+            `mode`, `scale_source` and `down` (3,), the direction of gravity in the first camera frame (None: unknown).
+        ground_truth: Kept with the run, so that it can be evaluated without the recording.
+
+    Raises:
+        ResultsError: The folder holds something else than a run, or cannot be written.
+    """
+
+    def __init__(
+        self, folder: Path, config: BaseModel, facts: Mapping[str, Any], ground_truth: Trajectory | None = None
+    ) -> None:
+        self.folder = folder
+        self._facts = dict(facts)
+        self._results: list[FrameResult] = []
+        self._begin = time.perf_counter()
+        with writing(folder):
+            _claim(folder)
+            self._write_info("running")
+            settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+            (folder / CONFIG).write_text(settings)
+            if ground_truth is not None:
+                ground_truth.write_tum(folder / GROUND_TRUTH)
+            self._trajectory = (folder / ONLINE).open("w")
+            self._frames = (folder / FRAMES).open("w", newline="")
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def add(self, result: FrameResult) -> None:
+        """Write one frame; it is in the files when this returns."""
+        row = {"index": result.index, "stamp": f"{result.stamp:.9f}", "status": result.status.value}
+        row |= {name: f"{value:.9g}" for name, value in result.measures.items()}
+        row |= {f"{stage}_ms": f"{value:.3f}" for stage, value in result.times.items()}
+        with writing(self.folder):
+            self._trajectory.write(tum_line(result.stamp, result.pose))
+            self._trajectory.flush()
+            if not self._results:
+                self._table = csv.DictWriter(self._frames, fieldnames=list(row), lineterminator="\n")
+                self._table.writeheader()
+            self._table.writerow(row)
+            self._frames.flush()
+        self._results.append(result)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if kind is None:
+            status = "finished"
+        elif issubclass(kind, KeyboardInterrupt):
+            status = "interrupted"
+        else:
+            status = f"failed: {str(error) or kind.__name__}"
+        with writing(self.folder):
+            self._trajectory.close()
+            self._frames.close()
+            with replacing(self.folder / ONLINE_KITTI) as path:
+                path.write_text("".join(kitti_line(result.pose) for result in self._results))
+            with replacing(self.folder / COVARIANCES) as path:
+                np.savez_compressed(
+                    path,
+                    previous=np.array([result.previous for result in self._results], dtype=np.int64),
+                    prev_T_cur=np.array([result.relative.matrix() for result in self._results]).reshape(-1, 4, 4),
+                    covariances=np.array([result.covariance for result in self._results]).reshape(-1, 6, 6),
+                )
+            self._write_info(status)
+
+    def _write_info(self, status: str) -> None:
+        info = {"status": status, **self._facts, **provenance(), "totals": self._totals()}
+        write_json(self.folder / INFO, info)
+
+    def _totals(self) -> dict[str, Any]:
+        stages = list(self._results[0].times) if self._results else []
+        times = {stage: np.array([result.times[stage] for result in self._results]) for stage in stages}
+        if times:
+            times["total"] = np.sum(list(times.values()), axis=0)
+        return {
+            "frames": len(self._results),
+            "statuses": Counter(result.status.value for result in self._results),
+            "seconds": time.perf_counter() - self._begin,
+            "ms_per_frame": {
+                stage: {"median": float(np.median(ms)), "mean": float(np.mean(ms))} for stage, ms in times.items()
+            },
+            "peak_memory_mb": peak_memory_mb(),
+        }
+
+
+def read_run(folder: Path) -> Run:
+    """Read a run folder, also of a run that goes on or was killed: its last, incomplete line is left out.
+
+    Raises:
+        ResultsError: The folder is not that of a run, or one of its files is damaged.
+        TrajectoryError: One of its trajectories is damaged.
+    """
+    if not (folder / INFO).is_file():
+        raise ResultsError(f"{folder} is not the folder of a run: it has no {INFO}; give the output folder of a run")
+    frames = _parsed(folder / FRAMES, _read_frames)
+    stamps = frames.get("stamp", np.empty(0))
+    written = Trajectory.read_tum(folder / ONLINE, unfinished=True) if len(stamps) else Trajectory(stamps, ())
+    relatives = _parsed(folder / COVARIANCES, _read_relatives) if (folder / COVARIANCES).exists() else None
+    # Where the run was stopped between two writes, one file is a frame ahead of another.
+    count = min(len(written), len(stamps), len(stamps if relatives is None else relatives.previous))
+    return Run(
+        folder=folder,
+        online=Trajectory(written.stamps[:count], written.poses[:count]),
+        smoothed=_read_optional(folder / SMOOTHED),
+        ground_truth=_read_optional(folder / GROUND_TRUTH),
+        frames={name: column[:count] for name, column in frames.items()},
+        config=_parsed(folder / CONFIG, lambda path: yaml.safe_load(path.read_text())),
+        info=_parsed(folder / INFO, lambda path: json.loads(path.read_text())),
+        relatives=relatives,
+    )
+
+
+def _claim(folder: Path) -> None:
+    """Make the folder empty and ours, or refuse."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.iterdir()) and not (folder / INFO).is_file():
+        raise ResultsError(
+            f"{folder} holds files that are not of a run; give another or an empty folder for the output"
+        )
+    for pattern in _OURS:
+        for path in folder.glob(pattern):
+            path.unlink()
+
+
+def _parsed(path: Path, parse: Callable[[Path], _T]) -> _T:
+    try:
+        return parse(path)
+    # What the readers of csv, yaml, json and npz raise at damaged files has no common base.
+    except (OSError, ValueError, KeyError, EOFError, yaml.YAMLError, BadZipFile) as error:
+        reason = " ".join(str(error).split())
+        raise ResultsError(f"{path} cannot be read, the run must be done again: {reason}") from None
+
+
+def _read_frames(path: Path) -> dict[str, NDArray[Any]]:
+    text = path.read_text()
+    reader = csv.DictReader(text[: text.rfind("\n") + 1].splitlines(), restval="missing")
+    rows = list(reader)
+    types = {"index": np.int64, "status": np.str_}
+    names = reader.fieldnames or ()
+    return {name: np.array([row[name] for row in rows]).astype(types.get(name, np.float64)) for name in names}
+
+
+def _read_relatives(path: Path) -> Relatives:
+    with np.load(path) as arrays:
+        return Relatives(arrays["previous"], arrays["prev_T_cur"], arrays["covariances"])
+
+
+def _read_optional(path: Path) -> Trajectory | None:
+    return Trajectory.read_tum(path) if path.exists() else None

@@ -1,0 +1,54 @@
+"""The ground plane below the camera: what a format knows of it and what the user says of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.errors import SequenceError
+from fvslam_graph.sequences.base import Ground, Sequence
+
+# How far a camera tilts against the ground, standard deviations in radians.
+CAR_TILT = 0.01  # a car pitches on its springs, and the mounting is not quite level
+GIVEN_TILT = 0.05  # the user knows the mounting; the vehicle still moves
+UAV_TILT = 0.3  # a multirotor tilts to accelerate, and its attitude is not known
+
+KITTI_CAMERA_HEIGHT = 1.65  # metres above the road (Geiger et al. 2013, Fig. 3)
+
+
+def level_ground(heights: NDArray[np.float64], tilt: float, source: str) -> Ground:
+    """The ground below a camera that looks to the horizon, heights (N,) in metres."""
+    return Ground(heights, np.array([0.0, 1.0, 0.0]), tilt, source)
+
+
+def kitti_ground(frames: int) -> Ground:
+    """The road below the cameras of KITTI's car."""
+    return level_ground(np.full(frames, KITTI_CAMERA_HEIGHT), CAR_TILT, "KITTI: camera 1.65 m above the road")
+
+
+def override_ground(sequence: Sequence, height: float | None, pitch: float | None) -> Sequence:
+    """The sequence with the camera height (metres) or pitch (radians, positive: nose down) that the user gives.
+
+    Raises:
+        SequenceError: A value out of range, or a pitch alone where no height is known.
+    """
+    if height is None and pitch is None:
+        return sequence
+    if height is not None and not 0 < height < np.inf:
+        raise SequenceError(f"the camera height must be a positive number of metres, not {height:g}")
+    if pitch is not None and not abs(pitch) <= np.pi / 2:
+        raise SequenceError(f"the camera pitch must be between -pi/2 and pi/2 radians, not {pitch:g}")
+
+    ground = sequence.ground
+    if height is not None:
+        heights = np.full(len(sequence), float(height))
+        known = ground or level_ground(heights, UAV_TILT, "given")
+        ground = replace(known, heights=heights, source="given")
+    if ground is None:
+        raise SequenceError(f"{sequence.name} has no ground height: give the camera height along with its pitch")
+    if pitch is not None:
+        normal = np.array([0.0, np.cos(pitch), np.sin(pitch)])
+        ground = replace(ground, normal=normal, normal_sigma=min(ground.normal_sigma, GIVEN_TILT))
+    return replace(sequence, ground=ground)

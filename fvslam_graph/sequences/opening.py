@@ -1,0 +1,102 @@
+"""Opening a recording: the format is found by looking at the folder, then frames, scale and ground are chosen."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Protocol
+
+from fvslam_graph.errors import SequenceError
+from fvslam_graph.sequences import euroc, folder, karlsruhe, kitti_odometry, kitti_raw, tum_rgbd, video
+from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.sequences.ground import override_ground
+
+
+class Format(Protocol):
+    """What the module of a format offers."""
+
+    FORMAT: str
+    """Its name."""
+    LAYOUT: str
+    """What it looks for, in words."""
+
+    def matches(self, path: Path) -> bool:
+        """Whether the path looks like a recording of this format."""
+
+    def read(self, path: Path) -> Sequence:
+        """Open it; raises an FvslamError."""
+
+
+# The first that matches is taken: special layouts before the plain folder.
+FORMATS: tuple[Format, ...] = (kitti_odometry, kitti_raw, karlsruhe, euroc, tum_rgbd, folder, video)
+
+
+def open_sequence(
+    path: str | Path,
+    *,
+    frames: str | None = None,
+    stride: int = 1,
+    scale: float = 1.0,
+    camera_height: float | None = None,
+    camera_pitch: float | None = None,
+    format: str | None = None,
+) -> Sequence:
+    """Open a recording of any known format, or a synthetic world by its name (`synthetic:uav?seed=3`).
+
+    Args:
+        path: Folder, video file or name.
+        frames: `START:STOP`, of which either may be left out.
+        stride: Take every n-th frame.
+        scale: Resize the images by this factor, 0 < scale <= 1.
+        camera_height: Metres from the camera to the ground, where the format does not know or is wrong.
+        camera_pitch: Radians by which the camera looks below the horizon; 0 is straight ahead, pi/2 straight down.
+        format: Name of the format, instead of finding out.
+
+    Raises:
+        FvslamError: One sentence on what is missing, damaged or out of range, and where.
+    """
+    if not 0 < scale <= 1:
+        raise SequenceError(f"the scale must be in (0, 1], not {scale:g}")
+    start, stop = _slice(frames or ":")
+    sequence = _synthetic(path) if str(path).startswith("synthetic:") else _recorded(Path(path), format)
+    sequence = override_ground(sequence, camera_height, camera_pitch).select(start, stop, stride)
+    return sequence if scale == 1 else sequence.scaled(scale)
+
+
+def _synthetic(name: str | Path) -> Sequence:
+    from fvslam_graph.sequences.synthetic import open_synthetic  # a renderer that recordings do not need
+
+    return open_synthetic(str(name))
+
+
+def _recorded(path: Path, wanted: str | None) -> Sequence:
+    path = path.expanduser().absolute()
+    try:
+        return _find_format(path, wanted).read(path)
+    except OSError as error:  # a folder without permission, a disk that is gone
+        raise SequenceError(f"{path} cannot be read: {error}") from None
+
+
+def _find_format(path: Path, wanted: str | None) -> Format:
+    known = {module.FORMAT: module for module in FORMATS}
+    if wanted is not None and wanted not in known:
+        raise SequenceError(f"the format '{wanted}' is not one of {', '.join(known)}")
+    if not path.exists():
+        raise SequenceError(f"{path} does not exist")
+    if path.is_dir() and not any(path.iterdir()):
+        raise SequenceError(f"{path} is an empty folder")
+    candidates = FORMATS if wanted is None else (known[wanted],)
+    for module in candidates:
+        if module.matches(path):
+            return module
+    looked_for = "; ".join(f"{module.LAYOUT} ({module.FORMAT})" for module in candidates)
+    kind = "folder" if path.is_dir() else "file"
+    raise SequenceError(f"the {kind} {path} is no recording of a known format; looked for {looked_for}")
+
+
+def _slice(frames: str) -> tuple[int | None, int | None]:
+    match = re.fullmatch(r"(-?\d+)?:(-?\d+)?", frames.strip())
+    if match is None:
+        raise SequenceError(f"frames are given as START:STOP, for example 100:350, not '{frames}'")
+    start, stop = (int(number) if number else None for number in match.groups())
+    return start, stop

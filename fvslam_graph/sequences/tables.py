@@ -1,0 +1,103 @@
+"""Small text files of a recording: tables of stamps and poses, and calibration lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.errors import CameraError, SequenceError, TrajectoryError
+from fvslam_graph.trajectory import Trajectory
+
+
+def read_text(path: Path) -> str:
+    """The text of a file; raises SequenceError where it is missing or no text."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise SequenceError(f"{path} is missing") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise SequenceError(f"{path} cannot be read as text: {error}") from None
+
+
+def read_table(path: Path, separator: str | None = None) -> list[list[str]]:
+    """The words of each line, without empty lines and `#` comments; raises SequenceError."""
+    lines = (line.strip() for line in read_text(path).splitlines())
+    return [[word.strip() for word in line.split(separator)] for line in lines if line and not line.startswith("#")]
+
+
+def to_numbers(path: Path, rows: Sequence[Sequence[str]]) -> NDArray[np.float64]:
+    """Rows of equally many words as numbers, (N, columns); raises SequenceError naming the row that is not."""
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(rows[0]):
+            raise SequenceError(f"{path}: row {number} has {len(row)} values, the first has {len(rows[0])}")
+        try:
+            [float(word) for word in row]
+        except ValueError:
+            raise SequenceError(f"{path}: row {number} is not numbers: '{' '.join(row)[:60]}'") from None
+    return np.array(rows, float).reshape(len(rows), len(rows[0]) if rows else 0)
+
+
+def read_stamps(path: Path) -> NDArray[np.float64]:
+    """One stamp a line, (N,) seconds; raises SequenceError where they do not increase."""
+    rows = read_table(path)
+    if not rows:
+        raise SequenceError(f"{path} holds no stamps")
+    stamps = to_numbers(path, rows)[:, 0]
+    require_increasing(path, stamps)
+    return stamps
+
+
+def require_increasing(path: Path, stamps: NDArray[np.float64]) -> None:
+    """Raises SequenceError naming the first stamp that is not finite or not later than the one before."""
+    good = np.isfinite(stamps) & (np.diff(stamps, prepend=-np.inf) > 0)
+    if not np.all(good):
+        row = int(np.argmin(good))
+        problem = "not later than the one before" if np.isfinite(stamps[row]) else "not a finite number"
+        raise SequenceError(f"{path}: stamp {row + 1} of {len(stamps)} is {problem}")
+
+
+def even_stamps(frames: int, rate: float) -> NDArray[np.float64]:
+    """Stamps of a steady camera, (frames,) seconds from 0, `rate` of them a second."""
+    return np.arange(frames) / rate
+
+
+def require_rows(path: Path, rows: int, last: int) -> None:
+    """Raises SequenceError where the images, numbered up to `last`, go on after the rows of stamps end."""
+    if last >= rows:
+        raise SequenceError(
+            f"{path} has {rows} rows, but the images are numbered up to {last}: "
+            "complete it, or remove it and 10 Hz is assumed"
+        )
+
+
+def make_trajectory(path: Path, stamps: NDArray[np.float64], poses: Sequence[gtsam.Pose3]) -> Trajectory:
+    """A trajectory whose errors name the file it comes from; raises TrajectoryError."""
+    try:
+        return Trajectory(stamps, tuple(poses))
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{path}: {error}") from None
+
+
+class CalibrationText:
+    """A KITTI calibration file: lines of `key: numbers`; keys whose value is no numbers are left out."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.entries: dict[str, NDArray[np.float64]] = {}
+        for line in read_text(path).splitlines():
+            key, _, words = line.partition(":")
+            try:
+                self.entries[key.strip()] = np.array(words.split(), float)
+            except ValueError:
+                continue  # a date
+
+    def numbers(self, key: str, *shape: int) -> NDArray[np.float64]:
+        """The numbers of one key in the wanted shape; raises CameraError where they are not there."""
+        values = self.entries.get(key, np.empty(0))
+        if values.size != np.prod(shape) or not np.all(np.isfinite(values)):
+            raise CameraError(f"{self.path} has no line '{key}:' with {np.prod(shape)} numbers")
+        return values.reshape(shape)

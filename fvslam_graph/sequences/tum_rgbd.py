@@ -1,0 +1,71 @@
+"""TUM RGB-D recordings: `rgb.txt` lists the images, `groundtruth.txt` holds the poses of the colour camera.
+
+Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fvslam_graph.camera import Camera, Distortion
+from fvslam_graph.errors import CameraError, SequenceError
+from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.sequences.calibration import read_camera
+from fvslam_graph.sequences.files import missing_note, open_images
+from fvslam_graph.sequences.tables import read_table, require_increasing, to_numbers
+from fvslam_graph.trajectory import Trajectory
+
+FORMAT = "tum-rgbd"
+LAYOUT = "rgb.txt"
+
+# The benchmark publishes the calibration on its page, not in the recordings. Freiburg 3 comes undistorted.
+CAMERAS = {
+    "freiburg1": Camera(
+        640, 480, 517.3, 516.5, 318.6, 255.3, Distortion.RADTAN, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+    ),
+    "freiburg2": Camera(
+        640, 480, 520.9, 521.0, 325.1, 249.7, Distortion.RADTAN, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
+    ),
+    "freiburg3": Camera(640, 480, 535.4, 539.2, 320.1, 247.6),
+}
+
+
+def matches(path: Path) -> bool:
+    """Whether this folder has a list of colour images."""
+    return (path / "rgb.txt").is_file()
+
+
+def read(path: Path) -> Sequence:
+    """Open a recording; its calibration is that of its `camera.yaml`, or the published one of its name."""
+    listing = path / "rgb.txt"
+    rows = read_table(listing)
+    if not rows or any(len(row) != 2 for row in rows):
+        raise SequenceError(f"{listing} should list the images as rows of time stamp and file name")
+    paths = [path / name for _, name in rows]
+    stamps = to_numbers(listing, [row[:1] for row in rows])[:, 0]
+    require_increasing(listing, stamps)
+
+    calibration, camera = _camera(path)
+    truth = path / "groundtruth.txt"
+    return Sequence(
+        name=path.name,
+        format=FORMAT,
+        camera=camera.undistorted(),
+        stamps=stamps,
+        load=open_images(paths, camera, calibration),
+        ground_truth=Trajectory.read_tum(truth) if truth.is_file() else None,
+        notes=missing_note(paths),
+    )
+
+
+def _camera(path: Path) -> tuple[Path | str, Camera]:
+    """Where the camera comes from, and the camera."""
+    own = path / "camera.yaml"
+    if own.is_file():
+        return own, read_camera(own)
+    for name, camera in CAMERAS.items():
+        if name in str(path).lower():
+            return f"the published calibration of {name}", camera
+    raise CameraError(
+        f"{path} has no camera.yaml, and its name does not say whose calibration to take ({', '.join(CAMERAS)})"
+    )

@@ -1,0 +1,107 @@
+"""Inverse depths of tracks: triangulated from two views, and carried from one reference image to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+PIXEL_NOISE = 0.3  # pixels, standard deviation of a track's position, for weights between tracks
+
+
+@dataclass(frozen=True)
+class InverseDepths:
+    """Inverse depths of points along the optical axis of a reference camera.
+
+    Attributes:
+        ids: (N,) of the tracks.
+        values: (N,) 1/metres (1/baseline where the baseline has no scale yet).
+        sigmas: (N,) standard deviations.
+    """
+
+    ids: NDArray[np.int64]
+    values: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @classmethod
+    def none(cls) -> InverseDepths:
+        """Of no points."""
+        return cls(np.empty(0, np.int64), np.empty(0), np.empty(0))
+
+    def common(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Where tracks `ids` and these depths are of the same points: indices into these, and into `ids`."""
+        _, mine, theirs = np.intersect1d(self.ids, ids, assume_unique=True, return_indices=True)
+        return mine, theirs
+
+    def __getitem__(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> InverseDepths:
+        return InverseDepths(self.ids[chosen], self.values[chosen], self.sigmas[chosen])
+
+    def scaled(self, factor: float) -> InverseDepths:
+        """The same points with all distances multiplied by `factor`."""
+        return InverseDepths(self.ids, self.values / factor, self.sigmas / factor)
+
+    def fused(self, other: InverseDepths) -> InverseDepths:
+        """Both together; a point that both know gets the mean, weighted by information."""
+        mine, theirs = self.common(other.ids)
+        information = self.sigmas[mine] ** -2 + other.sigmas[theirs] ** -2
+        mean = (self.values[mine] * self.sigmas[mine] ** -2 + other.values[theirs] * other.sigmas[theirs] ** -2) / (
+            information
+        )
+        only_mine = np.setdiff1d(np.arange(len(self)), mine)
+        only_theirs = np.setdiff1d(np.arange(len(other)), theirs)
+        return InverseDepths(
+            np.concatenate([self.ids[mine], self.ids[only_mine], other.ids[only_theirs]]),
+            np.concatenate([mean, self.values[only_mine], other.values[only_theirs]]),
+            np.concatenate([information**-0.5, self.sigmas[only_mine], other.sigmas[only_theirs]]),
+        )
+
+    def moved(self, rays: NDArray[np.float64], ref_T_new: gtsam.Pose3) -> InverseDepths:
+        """The same points' inverse depths in a new reference camera; points that are not in front of it are dropped.
+
+        Args:
+            rays: (N, 3) viewing rays in the old reference, z = 1.
+            ref_T_new: Pose of the new reference in the old one, metres.
+        """
+        # Depth in the new camera is (ray / value - t) . z, z being its optical axis in the old one.
+        axis = ref_T_new.rotation().matrix()[:, 2]
+        along = rays @ axis
+        remaining = along - self.values * float(axis @ ref_T_new.translation())
+        values = self.values / remaining
+        kept = (remaining > 0.05 * along) & (values > 0)
+        # d(value / (along - value a)) / d value = along / remaining^2
+        return InverseDepths(self.ids[kept], values[kept], (self.sigmas * along / remaining**2)[kept])
+
+
+def triangulate(
+    ids: NDArray[np.int64],
+    previous: NDArray[np.float64],
+    current: NDArray[np.float64],
+    rotation: gtsam.Rot3,
+    baseline: NDArray[np.float64],
+    focal: float,
+) -> InverseDepths:
+    """Inverse depths in the previous camera of points seen in two views; they may come out negative.
+
+    Solves y x (x - rho b) = 0 for rho by least squares, with x the ray in the previous camera, y the current ray
+    rotated into it and b the baseline.
+
+    Args:
+        ids: (N,) of the tracks.
+        previous, current: (N, 3) rays, z = 1.
+        rotation: prev_R_cur.
+        baseline: (3,) from the previous camera to the current one, in the previous; its length is the unit of depth.
+        focal: Pixels.
+    """
+    rotated = current @ rotation.matrix().T
+    across = np.cross(rotated, baseline)
+    values = (across * np.cross(rotated, previous)).sum(axis=1) / np.maximum((across**2).sum(axis=1), 1e-18)
+    # How fast the image of the point moves along its epipolar line when rho changes.
+    seen = previous - values[:, None] * baseline
+    speed = np.linalg.norm(baseline[:2] * seen[:, 2:] - baseline[2] * seen[:, :2], axis=1) / seen[:, 2] ** 2
+    sigmas = PIXEL_NOISE / (focal * np.maximum(speed, 1e-9))
+    return InverseDepths(ids, values, sigmas)

@@ -1,0 +1,203 @@
+"""Metric scale from a ground plane at known distance.
+
+The inverse depth of a plane is linear in the image: a point with ray x = (x, y, 1) on the plane n . X = d has the
+inverse depth p . x with p = n / d. So patches of the ground are aligned between two images, triangulated with the
+known relative pose in units of its baseline, and p is fitted to their inverse depths. The length of p is the baseline
+over the height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera, Image
+from fvslam_graph.config import GroundSettings
+from fvslam_graph.vo.depth import InverseDepths, triangulate
+from fvslam_graph.vo.two_view import LOSS_SCALE, TwoView, rays, sampson
+
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
+_WINDOW = (21, 11)  # pixels; wide and low, as the texture of a road seen from a car
+_SEARCH = 8.0  # pixels that the ground may lie off its prediction
+_HYPOTHESES = 100
+MIN_TRACKS = 10  # on the ground, for a first guess
+
+
+@dataclass(frozen=True)
+class GroundPlane:
+    """The ground as two views see it.
+
+    Attributes:
+        plane: (3,) p = n / d in the previous camera, d in baselines.
+        log_variance: Variance of log |p| from the patches themselves.
+        patches: How many patches lie on it.
+    """
+
+    plane: NDArray[np.float64]
+    log_variance: float
+    patches: int
+
+
+class GroundAligner:
+    """Finds the ground plane between two views whose relative pose is known up to scale.
+
+    Args:
+        camera: Undistorted.
+        normal: (3,) unit vector in the camera towards the ground, nominal.
+        normal_sigma: How far the camera tilts from it, radians.
+        settings: Extent, number and tolerance of patches.
+    """
+
+    def __init__(
+        self, camera: Camera, normal: NDArray[np.float64], normal_sigma: float, settings: GroundSettings
+    ) -> None:
+        self.camera = camera
+        self.normal = normal / np.linalg.norm(normal)
+        self.normal_sigma = normal_sigma
+        self.settings = settings
+        self._grid = self._ground_pixels()
+        self._rays = rays(camera, self._grid.astype(float))
+
+    def measure(
+        self,
+        previous: Image,
+        current: Image,
+        two_view: TwoView,
+        ray: NDArray[np.float64],
+        depths: InverseDepths,
+        expected: float | None,
+        rng: np.random.Generator,
+    ) -> GroundPlane | None:
+        """The ground between two images; None where too few patches agree on one.
+
+        Args:
+            previous, current: (H, W) uint8.
+            two_view: Their relative pose.
+            ray: (N, 3) of tracks in the previous image; where nothing is expected, they give the first guess.
+            depths: (N,) of these tracks, in baselines.
+            expected: Baseline per height, dimensionless; only steers the search.
+            rng: For the hypotheses.
+        """
+        if expected is not None:
+            guess = expected * self.normal
+        else:
+            seen = self._sees_ground(ray)
+            if seen.sum() < MIN_TRACKS:
+                return None
+            guess = self._hypothesise(ray[seen], depths[seen], rng)
+        patches = self._align(previous, current, two_view, guess)
+        if patches is None:
+            return None
+        return self._refine(*patches, self._hypothesise(*patches, rng))
+
+    def _sees_ground(self, ray: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which rays (N, 3) meet the nominal ground within reach and not too far aside."""
+        nearness = ray @ self.normal
+        aside = np.cross(self.normal, [0.0, 0.0, 1.0])
+        length = np.linalg.norm(aside)
+        aside = aside / length if length > 0.5 else np.zeros(3)  # a camera that looks down has no side
+        in_reach = nearness > np.linalg.norm(ray, axis=1) / self.settings.reach
+        within: NDArray[np.bool_] = in_reach & (np.abs(ray @ aside) < self.settings.half_width * nearness)
+        return within
+
+    def _ground_pixels(self) -> NDArray[np.float32]:
+        """A grid of pixels that see the ground within range, about as many as there shall be patches."""
+        camera = self.camera
+        margin = max(_WINDOW)
+        columns, rows = np.meshgrid(np.arange(margin, camera.width - margin), np.arange(margin, camera.height - margin))
+        dense = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float32)
+        seen = self._sees_ground(rays(camera, dense.astype(float)))
+        step = max(1, round(np.sqrt(seen.sum() / self.settings.patches)))
+        grid: NDArray[np.float32] = dense[seen & (dense[:, 0] % step == 0) & (dense[:, 1] % step == 0)]
+        return grid
+
+    def _align(
+        self,
+        previous: Image,
+        current: Image,
+        two_view: TwoView,
+        plane: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], InverseDepths] | None:
+        """Rays (N, 3) of ground patches and their inverse depths, found near where `plane` predicts them.
+
+        The current image is warped to the previous view by the predicted plane, so that what is left to align is small
+        and free of perspective: a patch of road changes its size by a quarter between two frames.
+        """
+        if len(self._grid) < self.settings.min_patches:
+            return None
+        camera, K = self.camera, self.camera.K
+        rotation, direction = two_view.rotation, two_view.direction
+        top = max(0, int(self._grid[:, 1].min()) - 2 * _WINDOW[1])
+        offset = np.array([0.0, top])
+        homography = K @ rotation.matrix().T @ (np.eye(3) - np.outer(direction, plane)) @ np.linalg.inv(K)
+        shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
+        warped = cv2.warpPerspective(
+            current,
+            homography @ shift,
+            (camera.width, camera.height - top),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        )
+        start = (self._grid - offset).astype(np.float32)
+        found, good = _lucas_kanade(previous[top:], warped, start, start, 1)
+        good &= np.linalg.norm(found - start, axis=1) < _SEARCH
+        in_current = np.column_stack([found[good] + offset, np.ones(good.sum())]) @ homography.T
+        ray, ray_current = self._rays[good], rays(camera, in_current[:, :2] / in_current[:, 2:])
+        epipolar, _ = sampson(ray, ray_current, rotation, direction, camera.fx)
+        kept = np.abs(epipolar) < 1.0
+        if kept.sum() < self.settings.min_patches:
+            return None
+        ids = np.flatnonzero(good)[kept].astype(np.int64)
+        depths = triangulate(ids, ray[kept], ray_current[kept], rotation, direction, camera.fx)
+        return ray[kept], depths
+
+    def _hypothesise(
+        self, ray: NDArray[np.float64], depths: InverseDepths, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """The plane on which most patches lie; each hypothesis goes through one patch, its normal is drawn."""
+        normals = self.normal + self.normal_sigma * rng.standard_normal((_HYPOTHESES, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        chosen = rng.integers(len(depths), size=_HYPOTHESES)
+        planes = normals * (depths.values[chosen] / (normals * ray[chosen]).sum(axis=1))[:, None]
+        predicted = planes @ ray.T
+        error = (depths.values - predicted) / self._tolerance(depths, predicted)
+        cost = np.minimum(error**2, 9.0).sum(axis=1)
+        best: NDArray[np.float64] = planes[int(np.argmin(cost))]
+        return best
+
+    def _refine(
+        self, ray: NDArray[np.float64], depths: InverseDepths, plane: NDArray[np.float64]
+    ) -> GroundPlane | None:
+        """Iteratively reweighted least squares (Geman-McClure) with the nominal normal as a prior."""
+        for _ in range(10):
+            length = float(np.linalg.norm(plane))
+            if not length > 0:
+                return None
+            predicted = ray @ plane
+            tolerance = self._tolerance(depths, predicted)
+            weight = (1 + ((depths.values - predicted) / tolerance / 2) ** 2) ** -2
+            information = weight / tolerance**2
+            # Only the components across the normal are known beforehand.
+            across = (np.eye(3) - np.outer(self.normal, self.normal)) / (self.normal_sigma * length) ** 2
+            normal_matrix = (ray * information[:, None]).T @ ray + across
+            plane = np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.values)
+        patches = int((weight > 0.25).sum())
+        along = plane / np.linalg.norm(plane)
+        log_variance = float(along @ np.linalg.solve(normal_matrix, along)) / float(plane @ plane)
+        if patches < self.settings.min_patches or plane @ self.normal <= 0:
+            return None
+        return GroundPlane(plane, log_variance, patches)
+
+    def _tolerance(self, depths: InverseDepths, predicted: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.hypot(depths.sigmas, self.settings.roughness * predicted)
+
+
+def _lucas_kanade(
+    a: Image, b: Image, points: NDArray[np.float32], guess: NDArray[np.float32], levels: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        a, b, points, guess.copy(), None, None, _WINDOW, levels, _STOP, cv2.OPTFLOW_USE_INITIAL_FLOW
+    )
+    return found, status[:, 0] > 0

@@ -1,0 +1,51 @@
+"""Constant velocity: what carries on when an image tells too little."""
+
+from __future__ import annotations
+
+import math
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.config import VoSettings
+from fvslam_graph.vo.scale import LogScale
+
+
+class ConstantVelocity:
+    """Camera motion with white acceleration, in the camera's own frame.
+
+    Args:
+        settings: Standard deviations of the accelerations.
+    """
+
+    def __init__(self, settings: VoSettings) -> None:
+        self.settings = settings
+        self.twist = np.zeros(6)  # rad/s, m/s
+
+    def distance(self, seconds: float) -> LogScale | None:
+        """Length of the path over a time; None where the camera stood."""
+        metres = float(np.linalg.norm(self.twist[3:])) * seconds
+        if metres < 1e-3:
+            return None
+        sigma = 0.5 * self.settings.max_acceleration * seconds**2
+        return LogScale(math.log(metres), (sigma / metres) ** 2)
+
+    def observe(self, last_T_cur: gtsam.Pose3, seconds: float) -> None:
+        """Take over the velocity of a measured motion."""
+        self.twist = gtsam.Pose3.Logmap(last_T_cur) / seconds
+
+    def predict(self, seconds: float) -> tuple[gtsam.Pose3, NDArray[np.float64]]:
+        """Motion over a time, and its covariance (6, 6), which grows with the fourth power of the time."""
+        spread = 0.5 * seconds**2
+        sigmas = np.repeat([self.settings.max_angular_acceleration, self.settings.max_acceleration], 3) * spread
+        return gtsam.Pose3.Expmap(self.twist * seconds), np.diag(sigmas**2)
+
+
+def compose_covariance(
+    covariance: NDArray[np.float64], step: gtsam.Pose3, step_covariance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Covariance of a_T_c = a_T_b b_T_c from those of a_T_b and of the independent step b_T_c, each (6, 6)."""
+    adjoint = step.inverse().AdjointMap()
+    composed: NDArray[np.float64] = adjoint @ covariance @ adjoint.T + step_covariance
+    return (composed + composed.T) / 2

@@ -1,0 +1,35 @@
+"""Rotation between two views whose parallax tells no direction of travel."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+_ITERATIONS = 5
+
+
+def fit_rotation(
+    previous: NDArray[np.float64], current: NDArray[np.float64], focal: float
+) -> tuple[gtsam.Rot3, NDArray[np.float64]]:
+    """The rotation prev_R_cur that best explains matched rays, and the image motion that it leaves unexplained.
+
+    Least absolute residuals by reweighting (so that near points and outliers do not decide), each step solved in closed
+    form (Kabsch 1976).
+
+    Args:
+        previous, current: (N, 3) rays, z = 1, N >= 3.
+        focal: Pixels.
+
+    Returns:
+        The rotation, and (N,) the residual image motion, pixels.
+    """
+    a = previous / np.linalg.norm(previous, axis=1, keepdims=True)
+    b = current / np.linalg.norm(current, axis=1, keepdims=True)
+    weight = np.ones(len(a))
+    for _ in range(_ITERATIONS):
+        u, _, vt = np.linalg.svd((a * weight[:, None]).T @ b)
+        rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
+        residual = focal * np.linalg.norm(a - b @ rotation.T, axis=1)
+        weight = 1 / np.maximum(residual, 0.1)
+    return gtsam.Rot3(rotation), residual

@@ -1,0 +1,128 @@
+"""Relative pose of two views from matched points: rotation and direction of travel, with their covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import poselib
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.config import VoSettings
+from fvslam_graph.features.tracks import Tracks
+
+LOSS_SCALE = 0.3  # pixels; residuals well above the tracking noise lose weight (Cauchy)
+
+Rays = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TwoView:
+    """What two views truly measure: five degrees of freedom.
+
+    Attributes:
+        rotation: prev_R_cur.
+        direction: (3,) unit vector in the previous camera, from there to the current one.
+        covariance: (5, 5) in the tangent of gtsam.EssentialMatrix(rotation, Unit3(direction)): rotation, then
+            direction in the plane of gtsam.Unit3.basis; radians.
+        inliers: (N,) bool, which of the tracks agree.
+    """
+
+    rotation: gtsam.Rot3
+    direction: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    inliers: NDArray[np.bool_]
+
+
+def rays(camera: Camera, pixels: NDArray[np.float64]) -> Rays:
+    """Viewing rays (N, 3) of pixels (N, 2), with z = 1."""
+    normalized = camera.normalize(pixels)
+    return np.column_stack([normalized, np.ones(len(normalized))])
+
+
+def estimate_two_view(tracks: Tracks, camera: Camera, settings: VoSettings, seed: int) -> TwoView | None:
+    """Five-point RANSAC with local optimisation (PoseLib), refined on all inliers; None without a solution.
+
+    Source: Nister 2004 (five points); Larsson et al., PoseLib (LO-RANSAC); covariance of an M-estimator after Huber,
+    Robust Statistics, section 6.3.
+    """
+    if len(tracks) < settings.min_inliers:
+        return None
+    model = poselib_camera(camera)
+    ransac = {
+        "max_epipolar_error": settings.ransac_threshold,
+        "min_iterations": settings.ransac_iterations,
+        "max_iterations": 20 * settings.ransac_iterations,
+        "seed": seed,
+    }
+    bundle = {"loss_type": "CAUCHY", "loss_scale": LOSS_SCALE}
+    pose, info = poselib.estimate_relative_pose(tracks.reference, tracks.current, model, model, ransac, bundle)
+    inliers = np.array(info["inliers"], bool)
+    if inliers.sum() < settings.min_inliers:
+        return None
+    rotation = gtsam.Rot3(pose.R.T)
+    direction = -pose.R.T @ pose.t
+    direction /= np.linalg.norm(direction)
+    covariance = _covariance(
+        rays(camera, tracks.reference[inliers]), rays(camera, tracks.current[inliers]), rotation, direction, camera.fx
+    )
+    return None if covariance is None else TwoView(rotation, direction, covariance, inliers)
+
+
+def poselib_camera(camera: Camera) -> dict[str, object]:
+    """The undistorted camera as PoseLib takes it."""
+    parameters = [camera.fx, camera.fy, camera.cx, camera.cy]
+    return {"model": "PINHOLE", "width": camera.width, "height": camera.height, "params": parameters}
+
+
+def sampson(
+    previous: Rays, current: Rays, rotation: gtsam.Rot3, direction: NDArray[np.float64], focal: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sampson distances (N,), pixels, and their Jacobian (N, 5) in the tangent of TwoView.
+
+    The weight of the distance is held fixed in the Jacobian, as in Gauss-Newton: exact where the distance is zero.
+    Source: Hartley and Zisserman, Multiple View Geometry, eq. 11.9.
+    """
+    rotated = current @ rotation.matrix().T
+    line_previous = np.cross(direction, rotated)  # E x_cur
+    line_current = np.cross(previous, direction) @ rotation.matrix()  # E^T x_prev
+    weight = focal / np.sqrt((line_previous[:, :2] ** 2).sum(axis=1) + (line_current[:, :2] ** 2).sum(axis=1))
+    distance = weight * (previous * line_previous).sum(axis=1)
+    by_rotation = np.cross(current, line_current)
+    by_direction = np.cross(rotated, previous) @ gtsam.Unit3(direction).basis()
+    return distance, weight[:, None] * np.hstack([by_rotation, by_direction])
+
+
+def _covariance(
+    previous: Rays, current: Rays, rotation: gtsam.Rot3, direction: NDArray[np.float64], focal: float
+) -> NDArray[np.float64] | None:
+    distance, jacobian = sampson(previous, current, rotation, direction, focal)
+    return m_estimator_covariance(distance, jacobian, LOSS_SCALE)
+
+
+def m_estimator_covariance(
+    residual: NDArray[np.float64], jacobian: NDArray[np.float64], loss_scale: float
+) -> NDArray[np.float64] | None:
+    """Covariance of a Cauchy M-estimate from the residuals themselves, so that no noise level is assumed.
+
+    Args:
+        residual: (N,) at the estimate.
+        jacobian: (N, P) of the residuals.
+        loss_scale: Of the Cauchy loss, in the residuals' unit.
+
+    Returns:
+        (P, P); None where the residuals do not determine the parameters.
+    """
+    count, parameters = jacobian.shape
+    square = (residual / loss_scale) ** 2
+    influence = residual / (1 + square)
+    curvature = np.maximum((1 - square) / (1 + square) ** 2, 0)  # an outlier adds no information, nor takes any
+    bread = jacobian.T @ (curvature[:, None] * jacobian)
+    if count <= parameters or np.linalg.matrix_rank(bread, hermitian=True) < parameters:
+        return None
+    inverse = np.linalg.inv(bread)
+    meat = jacobian.T @ (influence[:, None] ** 2 * jacobian) * (count / (count - parameters))
+    covariance: NDArray[np.float64] = inverse @ meat @ inverse
+    return (covariance + covariance.T) / 2

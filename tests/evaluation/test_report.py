@@ -1,0 +1,77 @@
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from rich.table import Table
+
+from fvslam_graph.errors import ResultsError
+from fvslam_graph.evaluation.report import COLUMNS, markdown_table, report_rows, rich_table, summary_table
+from fvslam_graph.evaluation.runs import evaluate_run
+
+from .conftest import MakeRun, drive
+
+
+def row(folder: Path) -> dict[str, str]:
+    return dict(zip(COLUMNS, report_rows([folder])[0], strict=True))
+
+
+def shown(table: Table) -> str:
+    console = Console(width=250, record=True, file=io.StringIO())
+    console.print(table)
+    return console.export_text()
+
+
+def test_a_row_says_what_was_measured(make_run: MakeRun) -> None:
+    folder = make_run()
+    evaluation = evaluate_run(folder)
+    cells = row(folder)
+    assert [cells[name] for name in ("run", "mode", "scale", "status", "align")] == [
+        *("run", "vo", "plane", "finished", "se3"),
+    ]
+    assert (cells["coverage"], cells["tracked"]) == ("100.0 %", "96.0 %")
+    assert float(cells["APE (m)"]) == pytest.approx(evaluation.errors["ape_trans"].stats["rmse"], abs=5e-4)
+    assert float(cells["t_rel (%)"]) == pytest.approx(evaluation.drift.t_rel, abs=5e-3)
+    assert evaluation.consistency is not None
+    assert cells["NEES (95 % band)"].startswith(f"{evaluation.consistency.mean:.2f} (5.")
+    assert 8 <= float(cells["ms/frame"]) <= 9
+    assert 20 < float(cells["peak MB"]) < 10_000
+
+
+def test_failed_partial_and_unevaluated_runs_are_rows(make_run: MakeRun, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="lost"):
+        make_run("failed", truth=drive(60), frames=240, stop=ValueError("lost [bold] | all"))
+    cells = row(tmp_path / "failed")
+    assert cells["status"] == "failed: lost [bold] | all"
+    assert (cells["coverage"], cells["APE (m)"], cells["NEES (95 % band)"]) == ("25.0 %", "-", "-")
+
+
+def test_the_tables_hold_all_runs(make_run: MakeRun) -> None:
+    folders = [make_run("good"), make_run("bad|run", seed=1, scale_source="[unit]")]
+    evaluate_run(folders[0])
+    lines = markdown_table(folders).splitlines()
+    assert [line.replace("\\|", "").count("|") for line in lines[:4]] == [len(COLUMNS) + 1] * 4
+    assert lines[3].startswith("| bad\\|run | vo | [unit] | finished |")
+    text = shown(rich_table(folders))
+    assert all(name in text for name in ("good", "bad|run", "[unit]", *COLUMNS))
+
+
+def test_a_damaged_metrics_file_is_one_sentence(make_run: MakeRun) -> None:
+    folder = make_run()
+    (folder / "metrics.json").write_text("{")
+    with pytest.raises(ResultsError, match=r"metrics\.json cannot be read"):
+        report_rows([folder])
+
+
+def test_the_summary_holds_every_metric_that_there_is(make_run: MakeRun) -> None:
+    evaluation = evaluate_run(make_run(gain=0.9, frames=500))
+    text = shown(summary_table(evaluation))
+    assert "50.0 % of 500 frames" in text
+    assert "250 of 250 poses by nearest stamps" in text
+    assert f"RMSE {evaluation.errors['ape_trans'].stats['rmse']:.4g} m" in text
+    assert f"{evaluation.drift.t_rel:.2f} % ({evaluation.drift_scaled.t_rel:.2f} % after scaling)" in text
+    assert "239 motions" in text
+
+    short = shown(summary_table(evaluate_run(make_run("short", truth=drive(20)))))
+    assert "t_rel  " not in short
+    assert "no t_rel and r_rel: the path of 19.0 m is shorter than 100 m" in short

@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+
+from fvslam_graph.errors import CameraError, SequenceError, TrajectoryError
+from fvslam_graph.sequences.opening import open_sequence
+
+
+def test_listed_images_with_heights(plain_folder):
+    sequence = open_sequence(plain_folder)
+    assert (sequence.name, sequence.format, len(sequence)) == ("flight", "folder", 10)
+    np.testing.assert_allclose(sequence.stamps, 0.1 * np.arange(10))
+    # On the floor the altimeter says nothing.
+    np.testing.assert_allclose(sequence.ground.heights, [np.nan, *0.5 * np.arange(1, 10)])
+    assert sequence.ground.source == "times.csv height_m" and sequence.ground.normal_sigma == 0.3
+    assert np.isnan(sequence.frame(0).height) and sequence.frame(4).height == 2.0
+    assert sequence.ground_truth is None and sequence.notes == ()
+
+
+def test_empty_and_absent_heights(plain_folder):
+    times = plain_folder / "times.csv"
+    times.write_text("filename,timestamp_s,height_m\n0.png,0,\n1.png,1,1.5\n")
+    np.testing.assert_allclose(open_sequence(plain_folder).ground.heights, [np.nan, 1.5])
+    times.write_text("filename,timestamp_s\n0.png,0\n1.png,1\n")
+    assert open_sequence(plain_folder).ground is None
+
+
+def test_without_times_the_rate_is_that_of_the_camera_file_or_30_hz(plain_folder):
+    (plain_folder / "times.csv").unlink()
+    sequence = open_sequence(plain_folder)
+    np.testing.assert_allclose(sequence.stamps, np.arange(10) / 30)
+    assert sequence.notes == ("times.csv is missing, the rate is 30 Hz, assumed",)
+    with (plain_folder / "camera.yaml").open("a") as file:
+        file.write("rate: 20\n")
+    sequence = open_sequence(plain_folder)
+    np.testing.assert_allclose(sequence.stamps, np.arange(10) / 20)
+    assert sequence.notes == ("times.csv is missing, the rate is 20 Hz, as camera.yaml says",)
+
+
+def test_ground_truth(plain_folder):
+    (plain_folder / "groundtruth.tum").write_text("0 0 0 0 0 0 0 1\n1 0 0 5 0 0 0 1\n")
+    assert open_sequence(plain_folder).ground_truth.path_length == 5
+
+
+def test_lost_and_truncated_images_are_frames_without_image(plain_folder):
+    (plain_folder / "images" / "3.png").unlink()
+    path = plain_folder / "images" / "7.png"
+    path.write_bytes(path.read_bytes()[:200])
+    sequence = open_sequence(plain_folder)
+    assert [frame.index for frame in sequence if frame.image is None] == [3, 7]
+    assert sequence.notes == ("1 image is missing: frame 3",)
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "error", "complaint"),
+    [
+        ("times.csv", "name,time\n0.png,0\n", SequenceError, r"times\.csv should have a header with filename"),
+        ("times.csv", "filename,timestamp_s\n", SequenceError, r"times\.csv should have a header"),
+        ("times.csv", "", SequenceError, r"times\.csv should have a header"),
+        ("times.csv", "filename,timestamp_s\n0.png\n", SequenceError, "row 1 has 1 values, the header has 2"),
+        (
+            "times.csv",
+            "filename,timestamp_s\n0.png,1\n1.png,0\n",
+            SequenceError,
+            r"times\.csv: stamp 2 of 2 is not later",
+        ),
+        ("times.csv", "filename,timestamp_s\n0.png,now\n", SequenceError, r"times\.csv: row 1 is not numbers: 'now'"),
+        (
+            "times.csv",
+            "filename,timestamp_s\nx.png,1\n",
+            SequenceError,
+            r"none of the 1 images can be decoded, .*x\.png",
+        ),
+        ("groundtruth.tum", "0 0 0 nan 0 0 0 1\n", TrajectoryError, r"groundtruth\.tum: .*not finite"),
+        ("groundtruth.tum", "1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", TrajectoryError, r"groundtruth\.tum: .*not later"),
+        ("camera.yaml", "rate: 0\n", CameraError, r"camera\.yaml: 'image_width' should be 1 number"),
+    ],
+)
+def test_bad_files(plain_folder, file, text, error, complaint):
+    (plain_folder / file).write_text(text)
+    with pytest.raises(error, match=complaint):
+        open_sequence(plain_folder)
+
+
+def test_bad_rate_and_no_images(plain_folder):
+    (plain_folder / "times.csv").unlink()
+    camera = plain_folder / "camera.yaml"
+    camera.write_text(camera.read_text() + "rate: -1\n")
+    with pytest.raises(SequenceError, match="the rate must be positive, not -1"):
+        open_sequence(plain_folder)
+    for path in (plain_folder / "images").iterdir():
+        path.unlink()
+    with pytest.raises(SequenceError, match="images holds no images"):
+        open_sequence(plain_folder)
+
+
+def test_real_flight(real_data):
+    sequence = open_sequence(real_data("tello/line"))
+    assert (len(sequence), len(sequence.ground_truth)) == (211, 211)
+    assert sequence.frame(210).image.shape == (720, 960)
+    assert int(np.isfinite(sequence.ground.heights).sum()) == 178

@@ -1,0 +1,108 @@
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from fvslam_graph.errors import CameraError, SequenceError
+from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.video import MAX_SKIP, read
+
+FRAMES = 240
+CAMERA = "image_width: 64\nimage_height: 48\ncamera_matrix: [50, 0, 31.5, 0, 50, 23.5, 0, 0, 1]\n"
+
+
+def draw(number):
+    """A noisy image whose blocks spell its number in binary, which survives lossy compression."""
+    bits = np.array([(number >> bit) & 1 for bit in range(8)]).reshape(2, 4)
+    noise = np.random.default_rng(number).integers(0, 80, (48, 64))
+    return (np.kron(bits, np.full((24, 16), 170)) + noise).astype(np.uint8)
+
+
+def number_of(image):
+    bits = image.reshape(2, 24, 4, 16).mean(axis=(1, 3)).ravel() > 127
+    return int(sum(1 << bit for bit, high in enumerate(bits) if high))
+
+
+def write_video(path):
+    writer = cv2.VideoWriter(
+        str(path), cv2.VideoWriter_fourcc(*"mp4v" if path.suffix == ".mp4" else "MJPG"), 25, (64, 48)
+    )
+    assert writer.isOpened()
+    for number in range(FRAMES):
+        writer.write(cv2.cvtColor(draw(number), cv2.COLOR_GRAY2BGR))
+    return writer
+
+
+@pytest.fixture
+def flight(tmp_path):
+    write_video(tmp_path / "flight.mp4").release()
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    return tmp_path / "flight.mp4"
+
+
+def test_frames_in_order(flight):
+    sequence = open_sequence(flight)
+    assert (sequence.name, sequence.format, len(sequence)) == ("flight", "video", FRAMES)
+    np.testing.assert_allclose(sequence.stamps, np.arange(FRAMES) / 25)
+    assert [number_of(frame.image) for frame in sequence] == list(range(FRAMES))
+
+
+def test_frames_in_any_order(flight):
+    load = open_sequence(flight).load
+    order = [5, 6, 9, 2, 9 + MAX_SKIP, 9 + MAX_SKIP + 1, 0, FRAMES - 1, 3, MAX_SKIP + 50]
+    assert [number_of(load(number)) for number in order] == order
+
+
+def test_slices_and_strides(flight):
+    sequence = open_sequence(flight, frames="20:30", stride=3)
+    assert [number_of(frame.image) for frame in sequence] == [20, 23, 26, 29]
+
+
+def test_beyond_the_end_is_no_image(flight):
+    load = read(flight).load
+    assert load(FRAMES) is None and load(FRAMES + 1000) is None
+    assert number_of(load(1)) == 1
+
+
+def test_a_video_that_was_cut_off_is_counted(tmp_path):
+    writer = write_video(tmp_path / "whole.mkv")
+    shutil.copy(tmp_path / "whole.mkv", tmp_path / "cut.mkv")  # before the length is written into it
+    writer.release()
+    (tmp_path / "cut.yaml").write_text(CAMERA)
+    sequence = open_sequence(tmp_path / "cut.mkv")
+    assert 10 < len(sequence) < FRAMES
+    assert [number_of(sequence.load(number)) for number in (7, 8, 2)] == [7, 8, 2]
+
+
+def test_calibration_of_the_same_name_comes_first(flight):
+    flight.with_suffix(".yaml").write_text(CAMERA.replace("50", "55"))
+    assert open_sequence(flight).camera.fx == 55
+
+
+def test_distortion_is_removed(flight):
+    flight.with_suffix(".yaml").write_text(CAMERA + "distortion_coefficients: [-0.3, 0.1, 0, 0]\n")
+    sequence = open_sequence(flight)
+    assert sequence.camera.coefficients == () and sequence.load(3).shape == (48, 64)
+    assert not np.array_equal(sequence.load(3), open_sequence_without_distortion(flight).load(3))
+
+
+def open_sequence_without_distortion(flight):
+    flight.with_suffix(".yaml").write_text(CAMERA)
+    return open_sequence(flight)
+
+
+def test_errors(flight):
+    calibration = flight.parent / "camera.yaml"
+    calibration.write_text(CAMERA.replace("64", "128"))
+    with pytest.raises(CameraError, match=r"flight\.mp4 is 64x48 pixels, but .*camera\.yaml is for 128x48"):
+        open_sequence(flight)
+    calibration.unlink()
+    with pytest.raises(
+        CameraError, match=r"flight\.mp4 has no calibration beside it: write flight\.yaml or camera\.yaml"
+    ):
+        open_sequence(flight)
+    calibration.write_text(CAMERA)
+    flight.write_bytes(b"this is no video")
+    with pytest.raises(SequenceError, match=r"flight\.mp4 cannot be decoded as a video"):
+        open_sequence(flight)

@@ -1,0 +1,196 @@
+"""A run folder is written as the run goes on, and read back whatever happened to the run."""
+
+import json
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+from fvslam_graph.errors import ResultsError, TrajectoryError
+from fvslam_graph.results import FrameResult, RunWriter, read_run
+from fvslam_graph.trajectory import Status, Trajectory
+
+STEP = gtsam.Pose3(gtsam.Rot3.Ypr(0.02, 0.01, -0.01), np.array([0.1, 0.0, 1.0]))
+FACTS = {"sequence": "test", "frames": 5, "mode": "vo", "scale_source": "plane", "seed": 7, "sigma": float("nan")}
+
+
+class Settings(BaseModel):
+    detector: str = "fast"
+    threshold: float = 0.25
+    folder: Path = Path("images")
+
+
+def frame(index: int) -> FrameResult:
+    pose = gtsam.Pose3()
+    for _ in range(index):
+        pose = pose * STEP
+    covariance = np.diag(np.arange(1.0, 7.0)) * index if index else np.full((6, 6), np.nan)
+    status = Status.COASTED if index == 3 else Status.TRACKED
+    measures = {"tracks": 100 + index, "scale": 1.5 if index else float("nan")}
+    times = {"detect": 2.0 + index, "pose": 5.0}
+    return FrameResult(index, 0.1 * index, pose, status, max(index - 1, 0), STEP, covariance, measures, times)
+
+
+def write(folder: Path, count: int = 5, ground_truth: Trajectory | None = None) -> Path:
+    with RunWriter(folder, Settings(), FACTS, ground_truth) as writer:
+        for index in range(count):
+            writer.add(frame(index))
+    return folder
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    truth = Trajectory(np.array([0.0, 0.25]), (gtsam.Pose3(), STEP))
+    run = read_run(write(tmp_path / "a" / "run", ground_truth=truth))
+
+    assert run.name == "run"
+    assert np.array_equal(run.online.stamps, [0.0, 0.1, 0.2, 0.3, 0.4])
+    assert all(pose.equals(frame(i).pose, 1e-12) for i, pose in enumerate(run.online.poses))
+    assert np.array_equal(run.frames["tracks"], [100, 101, 102, 103, 104])
+    assert run.frames["status"].tolist() == ["tracked"] * 3 + ["coasted", "tracked"]
+    assert np.isnan(run.frames["scale"]).tolist() == [True] + [False] * 4
+    assert run.frames["detect_ms"].tolist() == [2, 3, 4, 5, 6]
+    assert run.config == {"detector": "fast", "threshold": 0.25, "folder": "images"}
+    assert run.smoothed is None
+    assert run.ground_truth is not None and run.ground_truth.poses[1].equals(STEP, 1e-12)
+    assert run.relatives is not None
+    assert run.relatives.previous.tolist() == [0, 0, 1, 2, 3]
+    assert np.array_equal(run.relatives.covariances[4], 4 * np.diag(np.arange(1.0, 7.0)))
+    assert np.isnan(run.relatives.covariances[0]).all()
+    assert np.allclose(run.relatives.prev_T_cur[2], STEP.matrix(), atol=0)
+    kitti = Trajectory.read_kitti(run.folder / "trajectory_online.kitti")
+    assert np.allclose(kitti.matrices, run.online.matrices, atol=1e-12)
+
+
+def test_run_json_says_how_the_run_was_made(tmp_path: Path) -> None:
+    info = read_run(write(tmp_path)).info
+    assert info["status"] == "finished"
+    assert (info["seed"], info["sigma"]) == (7, None)
+    assert set(info["versions"]) == {"fvslam_graph", "python", "gtsam", "numpy", "opencv", "poselib"}
+    assert info["machine"]["cores"] >= 1
+    totals = info["totals"]
+    assert (totals["frames"], totals["statuses"]) == (5, {"tracked": 4, "coasted": 1})
+    assert totals["ms_per_frame"]["detect"] == {"median": 4, "mean": 4}
+    assert totals["ms_per_frame"]["total"] == {"median": 9, "mean": 9}
+    assert 20 < totals["peak_memory_mb"] < 10_000
+    assert 0 < totals["seconds"] < 60
+
+
+def test_every_frame_is_in_the_files_at_once(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, Settings(), FACTS) as writer:
+        assert len(read_run(tmp_path).online) == 0
+        for index in range(3):
+            writer.add(frame(index))
+            run = read_run(tmp_path)
+            assert len(run.online) == len(run.frames["tracks"]) == index + 1
+            assert (run.info["status"], run.relatives) == ("running", None)
+
+
+@pytest.mark.parametrize("damaged", ["trajectory_online.tum", "frames.csv"])
+def test_the_incomplete_last_line_of_a_killed_run_is_left_out(tmp_path: Path, damaged: str) -> None:
+    path = write(tmp_path) / damaged
+    path.write_text(path.read_text()[:-4])
+    run = read_run(tmp_path)
+    assert len(run.online) == len(run.frames["index"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (KeyboardInterrupt(), "interrupted"),
+        (ValueError("no such thing"), "failed: no such thing"),
+        (MemoryError(), "failed: MemoryError"),
+    ],
+)
+def test_a_stopped_run_is_kept_and_says_so(tmp_path: Path, error: BaseException, status: str) -> None:
+    with pytest.raises(type(error)), RunWriter(tmp_path, Settings(), FACTS) as writer:
+        writer.add(frame(0))
+        writer.add(frame(1))
+        raise error
+    run = read_run(tmp_path)
+    assert run.info["status"] == status
+    assert run.info["totals"]["frames"] == len(run.online) == 2
+    assert run.relatives is not None
+
+
+def test_a_run_without_frames_is_readable(tmp_path: Path) -> None:
+    run = read_run(write(tmp_path, count=0))
+    assert (len(run.online), run.frames, run.info["totals"]["frames"]) == (0, {}, 0)
+
+
+def test_the_same_run_gives_the_same_files(tmp_path: Path) -> None:
+    write(tmp_path / "a")
+    write(tmp_path / "b")
+    for name in ("trajectory_online.tum", "trajectory_online.kitti", "frames.csv", "config.yaml", "covariances.npz"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_a_new_run_replaces_the_old_one_and_what_was_said_about_it(tmp_path: Path) -> None:
+    write(tmp_path)
+    for stale in ("metrics.json", "ape_trans.zip", "plot_error.png", "trajectory_smoothed.tum", "ground_truth.tum"):
+        (tmp_path / stale).write_text("old")
+    (tmp_path / "notes.txt").write_text("mine")
+    write(tmp_path, count=2)
+    assert len(read_run(tmp_path).online) == 2
+    names = {path.name for path in tmp_path.iterdir()}
+    assert "notes.txt" in names
+    assert not names & {
+        "metrics.json",
+        "ape_trans.zip",
+        "plot_error.png",
+        "trajectory_smoothed.tum",
+        "ground_truth.tum",
+    }
+
+
+def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text("mine")
+    with pytest.raises(ResultsError, match="not of a run"):
+        write(tmp_path)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ResultsError, match=r"file.* cannot be written: Not a directory") as caught:
+        write(tmp_path / "file" / "run")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_without_a_run_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ResultsError, match=r"run\.json"):
+        read_run(tmp_path / "absent")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("run.json", "{"),
+        ("frames.csv", "index,stamp,status\n0,zero,tracked\n"),
+        ("frames.csv", "index,stamp,status\n0\n"),
+        ("config.yaml", "a: [1"),
+        ("covariances.npz", "zip"),
+        ("covariances.npz", "PK\x03\x04"),
+        ("covariances.npz", ""),
+    ],
+)
+def test_a_damaged_file_is_one_sentence(tmp_path: Path, name: str, content: str) -> None:
+    (write(tmp_path) / name).write_text(content)
+    with pytest.raises(ResultsError, match=rf"{name} cannot be read") as caught:
+        read_run(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_damaged_trajectory_is_named(tmp_path: Path) -> None:
+    (write(tmp_path) / "trajectory_online.tum").write_text("0 0 0 0 0 0 0\n")
+    with pytest.raises(TrajectoryError, match=r"trajectory_online\.tum: pose 1 has 7 numbers"):
+        read_run(tmp_path)
+
+
+def test_json_of_a_run_is_strict(tmp_path: Path) -> None:
+    def refuse(word: str) -> None:
+        raise AssertionError(word)
+
+    write(tmp_path)
+    json.loads((tmp_path / "run.json").read_text(), parse_constant=refuse)
