@@ -83,8 +83,7 @@ class Camera:
         """Undistorted image coordinates (N, 2) at unit depth (x/z, y/z) of pixels (N, 2)."""
         pixels = np.asarray(pixels, float).reshape(-1, 2)
         if self.distortion is Distortion.NONE:
-            normalized: NDArray[np.float64] = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
-            return normalized
+            return np.asarray((pixels - (self.cx, self.cy)) / (self.fx, self.fy), float)
         undistort = cv2.fisheye.undistortPoints if self.distortion is Distortion.EQUIDISTANT else cv2.undistortPoints
         return np.asarray(undistort(pixels[:, None], self.K, np.array(self.coefficients)), float).reshape(-1, 2)
 
@@ -106,8 +105,7 @@ class Camera:
 
     def _distort(self, rays: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.distortion is Distortion.NONE:
-            ideal: NDArray[np.float64] = rays[:, :2] * (self.fx, self.fy) + (self.cx, self.cy)
-            return ideal
+            return np.asarray(rays[:, :2] * (self.fx, self.fy) + (self.cx, self.cy), float)
         zero = np.zeros(3)
         if self.distortion is Distortion.EQUIDISTANT:
             pixels, _ = cv2.fisheye.projectPoints(rays[:, None], zero, zero, self.K, np.array(self.coefficients))

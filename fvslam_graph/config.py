@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
@@ -15,7 +15,7 @@ from fvslam_graph.errors import ConfigError
 
 
 class _Group(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class FeatureSettings(_Group):
@@ -40,7 +40,8 @@ class VoSettings(_Group):
     ransac_iterations: PositiveInt = 50  # at least
     static_parallax: PositiveFloat = 0.3  # pixels; less, beyond a small rotation, is standing still
     static_rotation: PositiveFloat = 0.0035  # rad; a vehicle that stands still may shake by this
-    keyframe_parallax: PositiveFloat = 4.0  # pixels; above, two views tell a baseline, and the image is the reference
+    min_parallax: PositiveFloat = 0.7  # pixels; above, two views tell a baseline where no depths are known yet
+    keyframe_parallax: PositiveFloat = 4.0  # pixels; above, they tell it well, and the image becomes the reference
     keyframe_tracks: float = Field(0.5, ge=0, le=1)  # share of the reference's points; below, likewise
     max_acceleration: PositiveFloat = 3.0  # m/s^2, standard deviation, of the motion model
     max_angular_acceleration: PositiveFloat = 1.0  # rad/s^2, likewise
@@ -97,46 +98,60 @@ def load_config(preset: str = "tuned", file: Path | None = None, settings: Seque
 
     Args:
         preset: "paper" or "tuned".
-        file: A mapping with the groups and names of Config; what it does not name stays as in the preset.
+        file: A mapping with the groups and names of Config, such as the config.yaml of a run; what it does not name
+            stays as in the preset, and a preset that it names is taken instead.
         settings: "group.name=value" each, value in YAML.
 
     Raises:
         ConfigError: A file cannot be read, a name is unknown or a value is out of its range.
     """
-    values: dict[str, Any] = {"preset": preset}
-    if preset == "paper":
-        _merge(values, _PAPER)
+    changes: dict[str, Any] = {"preset": preset}
     if file is not None:
-        try:
-            loaded = yaml.safe_load(file.read_text())
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise ConfigError(f"{file} cannot be read as settings: {' '.join(str(error).split())}") from None
-        if not isinstance(loaded, dict):
-            raise ConfigError(f"{file} must hold a mapping of settings, such as 'vo: {{min_inliers: 20}}'")
-        _merge(values, loaded)
+        _merge(changes, _read(file))
     for setting in settings:
-        name, equals, value = setting.partition("=")
-        if not equals:
-            raise ConfigError(f"a setting is written group.name=value, not '{setting}'")
-        try:
-            nested: Any = yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise ConfigError(f"the value of '{setting}' is not valid YAML") from None
-        for key in reversed(name.strip().split(".")):
-            nested = {key: nested}
-        _merge(values, nested)
+        _merge(changes, _parse(setting))
+    values: dict[str, Any] = {}
+    if changes["preset"] == "paper":
+        _merge(values, _PAPER)
+    _merge(values, changes)
     try:
         return Config.model_validate(values)
     except ValidationError as error:
         raise ConfigError(_explain(error)) from None
 
 
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(file.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"{file} cannot be read as settings: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise ConfigError(f"{file} must hold a mapping of settings, such as 'vo: {{min_inliers: 20}}'")
+    return content
+
+
+def _parse(setting: str) -> dict[str, Any]:
+    """`a.b=1` as {"a": {"b": 1}}."""
+    name, equals, value = setting.partition("=")
+    if not equals:
+        raise ConfigError(f"a setting is written group.name=value, not '{setting}'")
+    try:
+        nested: Any = yaml.safe_load(value)
+    except yaml.YAMLError:
+        raise ConfigError(f"the value of '{setting}' is not valid YAML") from None
+    for key in reversed(name.strip().split(".")):
+        nested = {key: nested}
+    return cast(dict[str, Any], nested)
+
+
 def _merge(values: dict[str, Any], changes: dict[str, Any]) -> None:
     for key, change in changes.items():
-        if isinstance(change, dict) and isinstance(values.get(key), dict):
+        if isinstance(change, dict):
+            if not isinstance(values.get(key), dict):
+                values[key] = {}
             _merge(values[key], change)
         else:
-            values[key] = dict(change) if isinstance(change, dict) else change
+            values[key] = change
 
 
 def _explain(error: ValidationError) -> str:
@@ -144,9 +159,10 @@ def _explain(error: ValidationError) -> str:
     complaint = error.errors()[0]
     name = ".".join(map(str, complaint["loc"]))
     if complaint["type"] == "extra_forbidden":
-        names = _names(Config)
-        nearest = difflib.get_close_matches(name, names, 1, 0) or names
-        return f"there is no setting '{name}'; the nearest is '{nearest[0]}'"
+        nearest = difflib.get_close_matches(name, _names(Config), 1, 0)[0]
+        return f"there is no setting '{name}'; the nearest is '{nearest}'"
+    if complaint["type"] == "model_type":
+        return f"'{name}' is a group of settings and cannot be {complaint['input']!r}; set {name}.NAME"
     return f"the setting '{name}' cannot be {complaint['input']!r}: {complaint['msg'].lower()}"
 
 

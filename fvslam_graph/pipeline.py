@@ -14,7 +14,8 @@ from fvslam_graph.errors import ConfigError
 from fvslam_graph.results import FrameResult
 from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.stopwatch import Stopwatch
-from fvslam_graph.vo.odometry import VisualOdometry, VoEstimate
+from fvslam_graph.vo.estimate import VoEstimate
+from fvslam_graph.vo.odometry import VisualOdometry
 
 STAGES = ("read", "association", "pose", "scale", "detection")
 

@@ -23,12 +23,14 @@ class Frame:
         stamp: Seconds.
         image: (H, W) uint8, rectified; None where no usable image could be read.
         height: Metres from the camera to the ground plane below it; NaN where unknown.
+        height_sigma: Its standard deviation, metres.
     """
 
     index: int
     stamp: float
     image: Image | None
     height: float = float("nan")
+    height_sigma: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,14 @@ class Ground:
         normal: (3,) unit vector in camera coordinates that points from the camera down to the ground plane.
         normal_sigma: Standard deviation of its direction, radians; how far the camera tilts against the ground.
         source: Where the heights come from, for the reader of a report.
+        height_sigma: Standard deviation of the heights, metres.
     """
 
     heights: NDArray[np.float64]
     normal: NDArray[np.float64]
     normal_sigma: float
     source: str
+    height_sigma: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -84,8 +88,10 @@ class Sequence:
         image = self.load(index)
         if image is not None and image.shape != (self.camera.height, self.camera.width):
             image = None
-        height = float("nan") if self.ground is None else float(self.ground.heights[index])
-        return Frame(index, float(self.stamps[index]), image, height)
+        stamp = float(self.stamps[index])
+        if self.ground is None:
+            return Frame(index, stamp, image)
+        return Frame(index, stamp, image, float(self.ground.heights[index]), self.ground.height_sigma)
 
     def select(self, start: int | None = None, stop: int | None = None, stride: int = 1) -> Sequence:
         """The frames start, start + stride, ... before stop, as a sequence of its own."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,6 @@ FORMAT = "folder"
 LAYOUT = "images/ and camera.yaml"
 
 DEFAULT_RATE = 30.0  # Hz
-MIN_HEIGHT = 0.05  # metres; an altimeter so near the floor says nothing
 
 
 def matches(path: Path) -> bool:
@@ -80,6 +80,14 @@ def _listed(times: Path) -> tuple[list[Path], NDArray[np.float64], Ground | None
     stamps = to_numbers(times, [[stamp] for stamp in columns["timestamp_s"]])[:, 0]
     require_increasing(times, stamps)
     heights = to_numbers(times, [[height or "nan"] for height in columns.get("height_m", ())]).ravel()
-    heights[heights <= MIN_HEIGHT] = np.nan
-    ground = level_ground(heights, UAV_TILT, "times.csv height_m") if np.any(np.isfinite(heights)) else None
-    return paths, stamps, ground
+    return paths, stamps, _altimeter(heights)
+
+
+def _altimeter(heights: NDArray[np.float64]) -> Ground | None:
+    """The ground as a height reading knows it: no better than its smallest step, and not nearer than that."""
+    known = np.unique(heights[np.isfinite(heights)])
+    if not len(known):
+        return None
+    resolution = float(np.diff(known).min()) if len(known) > 1 else 0.0
+    ground = level_ground(np.maximum(heights, resolution), UAV_TILT, "times.csv height_m")
+    return replace(ground, height_sigma=resolution)

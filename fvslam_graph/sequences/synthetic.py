@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from typing import Any, Literal, Protocol
+import re
+from typing import Annotated, Any, Protocol
 from urllib.parse import parse_qsl
 
 import numpy as np
@@ -14,12 +15,13 @@ from fvslam_graph.errors import SequenceError
 from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.worlds.drive import DriveWorld
 from fvslam_graph.sequences.worlds.effects import Effects
-from fvslam_graph.sequences.worlds.motion import Motion
+from fvslam_graph.sequences.worlds.motion import RATE, Motion
 from fvslam_graph.sequences.worlds.ripmap import Grey
-from fvslam_graph.sequences.worlds.uav import UavWorld
+from fvslam_graph.sequences.worlds.uav import UavWorld, View
 
 FORMAT = "synthetic"
-RATE = 10.0  # Hz
+Side = Annotated[int, Field(ge=32, le=4096)]
+Size = tuple[Side, Side]
 EXAMPLE = "synthetic:uav?seed=3&frames=100"
 
 
@@ -29,25 +31,22 @@ class _Options(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     seed: int = Field(0, ge=0)
-    frames: int = Field(200, ge=1)
-    size: tuple[int, int]  # pixels, WIDTHxHEIGHT
+    frames: int = Field(200, ge=1, le=10_000)
+    size: Size  # pixels, WIDTHxHEIGHT
     noise: float = Field(2.0, ge=0)  # grey values, standard deviation
     blur: float = Field(0.0, ge=0, le=1)  # exposure time as a share of the frame interval
     exposure: float = Field(0.0, ge=0, le=1)  # relative changes of brightness
-    movers: int = Field(0, ge=0, le=50)  # moving cars
+    movers: int = Field(0, ge=0, le=8)  # moving cars
     drop: float = Field(0.0, ge=0, lt=1)  # share of the images that are lost
 
     @field_validator("size", mode="before")
     @classmethod
-    def _parse_size(cls, value: Any) -> Any:
-        return value.split("x") if isinstance(value, str) else value
-
-    @field_validator("size")
-    @classmethod
-    def _check_size(cls, size: tuple[int, int]) -> tuple[int, int]:
-        if not all(32 <= side <= 4096 for side in size):
-            raise ValueError("width and height must be from 32 to 4096 pixels")
-        return size
+    def _split(cls, size: Any) -> Any:
+        if not isinstance(size, str):
+            return size
+        if not re.fullmatch(r"\d+x\d+", size):
+            raise ValueError("it is written WIDTHxHEIGHT, such as 640x480")
+        return size.split("x")
 
     @property
     def duration(self) -> float:
@@ -58,14 +57,14 @@ class _Options(BaseModel):
 class UavOptions(_Options):
     """Options of `synthetic:uav`."""
 
-    size: tuple[int, int] = (640, 480)
-    camera: Literal["downward", "oblique"] = "downward"
+    size: Size = (640, 480)
+    camera: View = "downward"
 
 
 class DriveOptions(_Options):
     """Options of `synthetic:drive`."""
 
-    size: tuple[int, int] = (1242, 375)
+    size: Size = (1242, 375)
 
 
 class World(Protocol):
@@ -99,7 +98,7 @@ def open_synthetic(name: str) -> Sequence:
     return synthetic_sequence(world, name, **options)
 
 
-def synthetic_sequence(world: str, name: str | None = None, **options: Any) -> Sequence:
+def synthetic_sequence(world: str, name: str | None = None, /, **options: Any) -> Sequence:
     """The sequence of a synthetic world with options as keyword arguments.
 
     The world frame of the ground truth is the first camera frame; the ground is the mean plane of the terrain or the
@@ -152,4 +151,5 @@ def _explain(error: ValidationError, names: list[str]) -> str:
     if complaint["type"] == "extra_forbidden":
         nearest = difflib.get_close_matches(option, names, 1, 0)[0]
         return f"there is no option '{option}'; the nearest is '{nearest}', and all are {', '.join(names)}"
-    return f"the option {option} cannot be '{complaint['input']}': {complaint['msg'].lower()}"
+    reason = complaint["msg"].removeprefix("Value error, ")
+    return f"the option {option} cannot be '{complaint['input']}': {reason[0].lower()}{reason[1:]}"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Camera, Image
 from fvslam_graph.config import GroundSettings
 from fvslam_graph.vo.depth import InverseDepths, triangulate
-from fvslam_graph.vo.two_view import LOSS_SCALE, TwoView, rays, sampson
+from fvslam_graph.vo.two_view import TwoView, rays, sampson
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
 _WINDOW = (21, 11)  # pixels; wide and low, as the texture of a road seen from a car

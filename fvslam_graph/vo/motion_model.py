@@ -35,6 +35,10 @@ class ConstantVelocity:
         """Take over the velocity of a measured motion."""
         self.twist = gtsam.Pose3.Logmap(last_T_cur) / seconds
 
+    def stop(self) -> None:
+        """The camera stands still."""
+        self.twist = np.zeros(6)
+
     def predict(self, seconds: float) -> tuple[gtsam.Pose3, NDArray[np.float64]]:
         """Motion over a time, and its covariance (6, 6), which grows with the fourth power of the time."""
         spread = 0.5 * seconds**2

@@ -16,6 +16,7 @@ from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.two_view import TwoView
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
+VAGUE = 0.2**2  # of log scale: such a prediction does not lead to the ground
 MIN_COMMON = 10  # tracks of known depth that tell a scale
 
 
@@ -42,6 +43,27 @@ class LogScale:
         return LogScale(self.mean + gain * (other.mean - self.mean), (1 - gain) * self.variance)
 
 
+@dataclass(frozen=True)
+class MetricMap:
+    """Points of known depth in a reference frame.
+
+    Attributes:
+        depths: Their inverse depths, 1/metres.
+        variance: Of the logarithm of the scale that all depths share.
+    """
+
+    depths: InverseDepths
+    variance: float
+
+    def __len__(self) -> int:
+        return len(self.depths)
+
+    @classmethod
+    def empty(cls) -> MetricMap:
+        """A map without points."""
+        return cls(InverseDepths.none(), 0.0)
+
+
 class MetricScale:
     """The scale of each new baseline, from the configured source.
 
@@ -61,14 +83,50 @@ class MetricScale:
         self._aligner = aligner
         self._true_baseline = true_baseline
 
-    def from_map(self, unit: InverseDepths, known: InverseDepths, variance: float) -> LogScale | None:
-        """Scale at which newly triangulated depths agree with known ones; None with too few points in common.
+    def estimate(
+        self,
+        previous: Frame,
+        current: Frame,
+        two_view: TwoView,
+        rays: NDArray[np.float64],
+        unit: InverseDepths,
+        known: MetricMap,
+        fallback: LogScale,
+        rng: np.random.Generator,
+    ) -> tuple[LogScale, MetricMap]:
+        """Scale of the baseline between two frames, and the map with this scale.
+
+        The map predicts the scale, the source measures it, and both are fused as in a one-dimensional Kalman filter:
+        so one source pools many frames. What is learnt holds for the whole map, as all its depths share one scale.
 
         Args:
-            unit: Depths in units of the new baseline.
-            known: Depths in metres, in the same camera.
-            variance: Of the log scale that the known depths share.
+            previous, current: The two frames.
+            two_view: Their relative pose.
+            rays: (N, 3) of the tracks in the previous frame.
+            unit: (N,) depths of these tracks in baselines.
+            known: The map in the previous frame.
+            fallback: Prediction where the map has too few points in common.
+            rng: For the ground plane's hypotheses.
+
+        Returns:
+            The scale; the map in the previous frame, rescaled and with the new depths.
         """
+        ratio = self._ratio(unit, known.depths)
+        predicted = fallback if ratio is None else LogScale(ratio.mean, ratio.variance + known.variance)
+        if self.settings.source is ScaleSource.UNIT:
+            scale = LogScale(0.0, 1.0)
+        elif self._true_baseline is not None:
+            baseline = self._true_baseline(previous.index, current.index)
+            scale = LogScale(math.log(baseline), ORACLE_VARIANCE) if baseline > 0 else predicted
+        else:
+            measured = self._from_plane(previous, current, two_view, rays, unit, predicted, rng)
+            scale = predicted if measured is None else predicted.fused(measured)
+        old = known.depths if ratio is None else known.depths.scaled(scale.metres / predicted.metres)
+        new = unit.scaled(scale.metres)
+        return scale, MetricMap(old.fused(new[new.values > 0]), scale.variance)
+
+    def _ratio(self, unit: InverseDepths, known: InverseDepths) -> LogScale | None:
+        """Scale at which newly triangulated depths agree with known ones; None with too few points in common."""
         mine, theirs = unit.common(known.ids)
         unit, known = unit[mine], known[theirs]
         usable = (unit.values > unit.sigmas) & (known.values > known.sigmas)
@@ -82,39 +140,7 @@ class MetricScale:
             weight = 1 / (sigma**2 * (1 + ((log_ratio - mean) / sigma / 2) ** 2))
             mean = float((weight * log_ratio).sum() / weight.sum())
         spread = float((weight**2 * (log_ratio - mean) ** 2).sum() / weight.sum() ** 2)
-        return LogScale(mean, variance + spread + self.settings.map_sigma**2)
-
-    def estimate(
-        self,
-        previous: Frame,
-        current: Frame,
-        two_view: TwoView,
-        rays: NDArray[np.float64],
-        unit: InverseDepths,
-        predicted: LogScale | None,
-        rng: np.random.Generator,
-    ) -> LogScale:
-        """Scale of the baseline between two frames.
-
-        Args:
-            previous, current: The two frames.
-            two_view: Their relative pose.
-            rays: (N, 3) of the tracks in the previous frame.
-            unit: (N,) depths of these tracks in baselines.
-            predicted: What the map, or else the speed, says beforehand.
-            rng: For the ground plane's hypotheses.
-        """
-        source = self.settings.source
-        if source is ScaleSource.UNIT:
-            return LogScale(0.0, 1.0)
-        if self._true_baseline is not None:
-            baseline = self._true_baseline(previous.index, current.index)
-            measured = LogScale(math.log(baseline), ORACLE_VARIANCE) if baseline > 0 else None
-        else:
-            measured = self._from_plane(previous, current, two_view, rays, unit, predicted, rng)
-        if measured is None:
-            return predicted or LogScale(0.0, 1.0)
-        return measured if predicted is None else predicted.fused(measured)
+        return LogScale(mean, spread + self.settings.map_sigma**2)
 
     def _from_plane(
         self,
@@ -123,15 +149,15 @@ class MetricScale:
         two_view: TwoView,
         rays: NDArray[np.float64],
         unit: InverseDepths,
-        predicted: LogScale | None,
+        predicted: LogScale,
         rng: np.random.Generator,
     ) -> LogScale | None:
         height = previous.height
         if self._aligner is None or previous.image is None or current.image is None or not height > 0:
             return None
-        guess = None if predicted is None else predicted.metres / height
-        ground = self._aligner.measure(previous.image, current.image, two_view, rays, unit, guess, rng)
+        expected = predicted.metres / height if predicted.variance < VAGUE else None
+        ground = self._aligner.measure(previous.image, current.image, two_view, rays, unit, expected, rng)
         if ground is None:
             return None
-        log_scale = math.log(height * float(np.linalg.norm(ground.plane)))
-        return LogScale(log_scale, ground.log_variance + self.settings.plane_sigma**2)
+        variance = ground.log_variance + self.settings.plane_sigma**2 + (previous.height_sigma / height) ** 2
+        return LogScale(math.log(height * float(np.linalg.norm(ground.plane))), variance)

@@ -1,0 +1,43 @@
+# Everything is installed into .venv; needed beforehand are Python 3.11 or later, make and git.
+
+PYTHON ?= $(shell for python in python3.11 python3; do \
+	$$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$python && break; done)
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: help demo test lint lock clean
+.DEFAULT_GOAL := help
+
+help: ## This list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+
+demo: $(READY) ## Fly over generated terrain, estimate the motion, compare and plot; results in runs/demo
+	$(BIN)/fvslam demo
+
+test: lint ## Lint, types and all tests
+	$(BIN)/pytest
+
+lint: $(READY) ## ruff and mypy
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+lock: ## Pin the newest versions that pyproject.toml allows in requirements.lock
+	$(PYTHON) -m venv build/lock
+	build/lock/bin/pip install --quiet uv
+	UV_CUSTOM_COMPILE_COMMAND="make lock" build/lock/bin/uv pip compile --quiet --upgrade --universal \
+		--python-version 3.11 --generate-hashes --group dev --output-file requirements.lock pyproject.toml
+
+clean: ## Remove .venv, caches and builds; runs stay
+	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache
+	find fvslam_graph scripts tests -name __pycache__ -prune -exec rm -rf {} +
+
+# The build backend is among the locked packages, so that nothing else is fetched for the build of our own.
+$(READY): requirements.lock pyproject.toml
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or later is needed, as python3.11 or python3; if it is elsewhere:" \
+		"make PYTHON=/path/to/python" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@

@@ -1,0 +1,228 @@
+"""Tracks without images: landmarks in space, projected exactly, for fast tests and Monte-Carlo runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.errors import SequenceError
+from fvslam_graph.sequences.base import Ground
+from fvslam_graph.sequences.worlds.drive import KITTI, drive_middle, drive_motion
+from fvslam_graph.sequences.worlds.motion import RATE, Motion
+from fvslam_graph.sequences.worlds.streams import stream
+from fvslam_graph.sequences.worlds.uav import DEPRESSION, View, uav_camera, uav_motion
+from fvslam_graph.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Surface = Callable[[Array, Array, np.random.Generator], Array]
+"""Origins (N, 3) and directions (N, 3) of rays, world, to how many directions away something is seen, (N,)."""
+
+_NEAREST = 0.5  # metres; nearer landmarks are not seen
+_HOUSES = 8.5  # metres from the middle of the street
+_REACH = 60.0  # metres; how far along the street landmarks are seen
+_CLUTTER = 0.3  # share of landmarks that stand in front of walls and road
+_RELIEF = 0.35  # metres, standard deviation of the ground below the UAV
+
+
+class Observation(NamedTuple):
+    """Landmarks seen in one frame: ids (N,) ascending, pixels (N, 2), and which pixels (N,) are somewhere else."""
+
+    ids: NDArray[np.int64]
+    pixels: Array
+    is_outlier: NDArray[np.bool_]
+
+
+class Matches(NamedTuple):
+    """Landmarks seen in two frames: ids (N,) ascending, pixels (N, 2) in each, and which pairs (N,) are wrong."""
+
+    ids: NDArray[np.int64]
+    pixels_a: Array
+    pixels_b: Array
+    is_outlier: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class PointScene:
+    """Landmarks along a camera path.
+
+    Attributes:
+        camera: What they are projected with.
+        trajectory: world_T_camera of each frame.
+        landmarks: (M, 3), world, metres; a landmark's id is its row.
+        lives: (M, 2) the first frame in which a landmark can be seen, and the one after the last.
+        noise: Standard deviation of a pixel's error along each axis.
+        outliers: Share of the pixels that are anywhere in the image instead.
+        seed: Of noise and outliers.
+        reach: Depth, metres, beyond which landmarks are not seen.
+        ground: What is known of the ground plane.
+    """
+
+    camera: Camera
+    trajectory: Trajectory
+    landmarks: Array
+    lives: NDArray[np.int64]
+    noise: float = 0.0
+    outliers: float = 0.0
+    seed: int = 0
+    reach: float = np.inf
+    ground: Ground | None = None
+
+    def __len__(self) -> int:
+        return len(self.trajectory)
+
+    def observe(self, frame: int) -> Observation:
+        """What is seen in a frame; the same whenever and in whatever order frames are asked for."""
+        pixels, inside = self._project(frame)
+        alive = (self.lives[:, 0] <= frame) & (frame < self.lives[:, 1])
+        ids = np.flatnonzero(inside & alive)
+        rng = stream(self.seed, "pixels", frame)
+        noise = self.noise * rng.standard_normal(pixels.shape)
+        anywhere = rng.uniform(0, (self.camera.width - 1, self.camera.height - 1), pixels.shape)
+        is_outlier = rng.random(len(pixels)) < self.outliers
+        seen = np.where(is_outlier[:, None], anywhere, pixels + noise)
+        return Observation(ids, seen[ids], is_outlier[ids])
+
+    def match(self, a: int, b: int) -> Matches:
+        """What is seen in both of two frames."""
+        first, second = self.observe(a), self.observe(b)
+        ids, in_a, in_b = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
+        wrong = first.is_outlier[in_a] | second.is_outlier[in_b]
+        return Matches(ids, first.pixels[in_a], second.pixels[in_b], wrong)
+
+    def in_camera(self, frame: int) -> Array:
+        """All landmarks (M, 3) in the camera frame, metres."""
+        world_T_camera = self.trajectory.matrices[frame]
+        points: Array = (self.landmarks - world_T_camera[:3, 3]) @ world_T_camera[:3, :3]
+        return points
+
+    def in_view(self, frame: int) -> NDArray[np.bool_]:
+        """Which landmarks (M,) could be seen in a frame if they all lived forever."""
+        return self._project(frame)[1]
+
+    def _project(self, frame: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Exact pixels (M, 2), and which are in view."""
+        points = self.in_camera(frame)
+        pixels = self.camera.project(points)
+        inside = np.all((pixels >= 0) & (pixels <= (self.camera.width - 1, self.camera.height - 1)), axis=1)
+        return pixels, inside & (points[:, 2] > _NEAREST) & (points[:, 2] < self.reach)
+
+
+def simulate(
+    trajectory: Trajectory,
+    camera: Camera,
+    surface: Surface,
+    *,
+    landmarks: int = 5000,
+    life: int | None = None,
+    noise: float = 0.0,
+    outliers: float = 0.0,
+    seed: int = 0,
+    reach: float = np.inf,
+    ground: Ground | None = None,
+) -> PointScene:
+    """A scene for any camera path: each landmark lies where a random pixel of a random frame meets a surface.
+
+    Args:
+        trajectory: world_T_camera of each frame.
+        camera: The camera.
+        surface: Where rays end; `within` for a range of depths.
+        landmarks: Their number.
+        life: Frames for which a landmark can be seen at most; without it, for as long as it is in view.
+        noise, outliers, seed, reach, ground: As in PointScene.
+
+    Raises:
+        SequenceError: A number is out of its range.
+    """
+    if not (
+        len(trajectory) >= 1 and landmarks >= 1 and noise >= 0 and 0 <= outliers <= 1 and (life is None or life >= 1)
+    ):
+        raise SequenceError(
+            f"a point scene needs frames and landmarks >= 1, noise >= 0, outliers from 0 to 1 and a life >= 1, "
+            f"not {len(trajectory)}, {landmarks}, {noise:g}, {outliers:g} and {life}"
+        )
+    rng = stream(seed, "landmarks")
+    frames = rng.integers(0, len(trajectory), landmarks)
+    pixels = rng.uniform(0, (camera.width - 1, camera.height - 1), (landmarks, 2))
+    rays = np.column_stack([camera.normalize(pixels), np.ones(landmarks)])
+    poses = trajectory.matrices[frames]
+    directions = np.einsum("nij,nj->ni", poses[:, :3, :3], rays)
+    points = poses[:, :3, 3] + surface(poses[:, :3, 3], directions, rng)[:, None] * directions
+    endless = np.tile([0, len(trajectory)], (landmarks, 1))
+    scene = PointScene(camera, trajectory, points, endless, noise, outliers, seed, reach, ground)
+    return scene if life is None else replace(scene, lives=_lives(scene, life, rng))
+
+
+def within(near: float, far: float) -> Surface:
+    """Everything is between two depths, metres, with equal shares for equal ratios of depth."""
+
+    def depths(origins: Array, directions: Array, rng: np.random.Generator) -> Array:
+        return near * (far / near) ** rng.random(len(origins))
+
+    return depths
+
+
+def simulate_drive(frames: int = 100, seed: int = 0, **options: Any) -> PointScene:
+    """The drive of `synthetic:drive`: landmarks on its road, on straight walls beside it and in between.
+
+    Args:
+        frames: Their number, at 10 Hz.
+        seed: Of the path, the landmarks, noise and outliers.
+        options: Of `simulate`.
+    """
+    middle = drive_middle(seed)
+
+    def street(origins: Array, directions: Array, rng: np.random.Generator) -> Array:
+        lateral = origins[:, 1] - middle(origins[:, 0])
+        _, sideways, up = directions.T
+        to_wall = (np.copysign(_HOUSES, sideways) - lateral) / sideways
+        to_road = np.where(up < 0, -origins[:, 2] / np.minimum(up, -1e-9), np.inf)
+        depths: Array = np.minimum(np.minimum(to_wall, to_road), _REACH)
+        in_front = rng.random(len(depths)) < _CLUTTER
+        depths[in_front] *= rng.uniform(0.3, 1, in_front.sum())
+        return depths
+
+    motion = drive_motion(seed, frames / RATE)
+    return _scene(motion, KITTI, street, frames, "fixed height", {"seed": seed, "reach": _REACH, **options})
+
+
+def simulate_flight(frames: int = 100, seed: int = 0, view: View = "downward", **options: Any) -> PointScene:
+    """The flight of `synthetic:uav`: landmarks on ground whose heights differ at random, without slopes.
+
+    Args:
+        frames: Their number, at 10 Hz.
+        seed: Of the path, the landmarks, noise and outliers.
+        view: "downward" or "oblique".
+        options: Of `simulate`.
+    """
+
+    def country(origins: Array, directions: Array, rng: np.random.Generator) -> Array:
+        heights = _RELIEF * rng.standard_normal(len(origins))
+        depths: Array = (heights - origins[:, 2]) / np.minimum(directions[:, 2], -0.05)
+        return depths
+
+    motion = uav_motion(seed, frames / RATE, DEPRESSION[view])
+    return _scene(motion, uav_camera((640, 480)), country, frames, "altimeter", {"seed": seed, **options})
+
+
+def _scene(
+    motion: Motion, camera: Camera, surface: Surface, frames: int, source: str, options: dict[str, Any]
+) -> PointScene:
+    """The scene in the frame of the first camera."""
+    stamps = np.arange(frames) / RATE
+    scene = simulate(motion.trajectory(stamps), camera, surface, ground=motion.ground(stamps, source), **options)
+    start = scene.trajectory.poses[0]
+    landmarks = start.transformTo(scene.landmarks.T).T
+    return replace(scene, trajectory=scene.trajectory.from_origin(), landmarks=landmarks)
+
+
+def _lives(scene: PointScene, life: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Lives of `life` frames that begin at random while the landmark is in view, or shortly before."""
+    seen = np.array([scene.in_view(frame) for frame in range(len(scene))])
+    first, last = seen.argmax(axis=0), len(scene) - 1 - seen[::-1].argmax(axis=0)
+    births = rng.integers(first - life + 1, last + 1)
+    return np.column_stack([births, births + life])

@@ -1,0 +1,1 @@
+"""Synthetic worlds, rendered as images with exact truth."""

@@ -1,0 +1,61 @@
+"""What visual odometry says about a frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.features.tracks import Tracks
+from fvslam_graph.trajectory import Status
+from fvslam_graph.vo.scale import LogScale
+from fvslam_graph.vo.two_view import TwoView
+
+
+@dataclass(frozen=True)
+class VoEstimate:
+    """The motion of one frame.
+
+    Attributes:
+        index: Of the frame.
+        previous: Index of the frame that the motion starts from: the reference (keyframe) at that time.
+        prev_T_cur: Pose of this frame in that one, metres.
+        covariance: (6, 6) in the tangent of prev_T_cur: rotation, then translation.
+        status: How it came about.
+        found: How many points of the reference were found in this frame.
+        tracks: Those that agree with the motion.
+        scale: Of the baseline between the two; None where none was estimated.
+        parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
+        times: Milliseconds by stage.
+    """
+
+    index: int
+    previous: int
+    prev_T_cur: gtsam.Pose3
+    covariance: NDArray[np.float64]
+    status: Status
+    found: int = 0
+    tracks: Tracks = field(default_factory=Tracks.none)
+    scale: LogScale | None = None
+    parallax: float = math.nan
+    times: dict[str, float] = field(default_factory=dict)
+
+
+def metric_pose(two_view: TwoView, scale: LogScale) -> tuple[gtsam.Pose3, NDArray[np.float64]]:
+    """The pose prev_T_cur of two views with a scale, and its covariance (6, 6).
+
+    The covariance holds what two views tell, and the scale along the baseline.
+    """
+    cur_R_prev = two_view.rotation.matrix().T
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, :3] = np.eye(3)
+    jacobian[3:, 3:5] = scale.metres * cur_R_prev @ gtsam.Unit3(two_view.direction).basis()
+    jacobian[3:, 5] = scale.metres * cur_R_prev @ two_view.direction
+    measured = np.zeros((6, 6))
+    measured[:5, :5] = two_view.covariance
+    measured[5, 5] = scale.variance
+    covariance: NDArray[np.float64] = jacobian @ measured @ jacobian.T
+    return gtsam.Pose3(two_view.rotation, scale.metres * two_view.direction), (covariance + covariance.T) / 2
