@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -12,6 +13,8 @@ import typer
 from fvslam_graph.errors import FvslamError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from fvslam_graph.config import Config
     from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.sequences.base import Sequence
@@ -23,6 +26,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+WIDE = 240  # characters
 
 _T = TypeVar("_T")
 
@@ -71,7 +76,7 @@ def run(
         camera_height=camera_height,
         camera_pitch=camera_pitch,
     )
-    folder = out or Path("runs") / f"{sequence.name}-{chosen.preset}"
+    folder = out or Path("runs") / re.sub(r"[^\w.-]+", "-", f"{sequence.name}-{chosen.preset}")
     _run(sequence, chosen, folder)
     typer.echo(f"next: fvslam evaluate {folder}; fvslam plot {folder}")
 
@@ -83,21 +88,20 @@ def evaluate(
     align: Align = "se3",
 ) -> None:
     """Compare a trajectory with a reference: APE, RPE, drift, coverage, consistency."""
-    from rich.console import Console
-
     from fvslam_graph.evaluation.report import rich_table, summary_table
     from fvslam_graph.evaluation.runs import evaluate_files, evaluate_run
 
     alignment = _alignment(align)
-    console = Console()
+    if not estimate.exists():
+        raise FvslamError(f"{estimate} does not exist; give the folder of a run, or a TUM or KITTI file")
     if estimate.is_dir():
         evaluation = evaluate_run(estimate, reference, alignment)
-        console.print(rich_table([estimate]))
+        _show(rich_table([estimate]))
     elif reference is None:
         raise FvslamError(f"{estimate} is a file: give the trajectory to compare it with by --reference")
     else:
         evaluation = evaluate_files(estimate, reference, alignment)
-    console.print(summary_table(evaluation))
+    _show(summary_table(evaluation))
 
 
 @app.command()
@@ -116,7 +120,6 @@ def plot(
 @app.command()
 def info(path: SequencePath, camera_height: CameraHeight = None, camera_pitch: CameraPitch = None) -> None:
     """Say what is recognised in a folder: format, frames, camera, ground truth, scale, gaps."""
-    from rich.console import Console
     from rich.table import Table
 
     from fvslam_graph.sequences.describe import describe
@@ -125,7 +128,7 @@ def info(path: SequencePath, camera_height: CameraHeight = None, camera_pitch: C
     table = Table(show_header=False, box=None)
     for name, value in describe(open_sequence(path, camera_height=camera_height, camera_pitch=camera_pitch)):
         table.add_row(name, value)
-    Console().print(table)
+    _show(table)
 
 
 @app.command()
@@ -134,8 +137,6 @@ def demo(
     frames: Annotated[int, typer.Option(help="Length of the flight.", min=10)] = 200,
 ) -> None:
     """Fly a small UAV over generated terrain, estimate its motion in several ways and compare them."""
-    from rich.console import Console
-
     from fvslam_graph.config import load_config
     from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.plots import plot_runs
@@ -155,7 +156,7 @@ def demo(
         _run(sequence, config, folders[-1])
         evaluate_run(folders[-1], align=Alignment.SE3)
     plots = plot_runs(folders, out / "plots", Alignment.SE3)
-    Console().print(rich_table(folders))
+    _show(rich_table(folders))
     typer.echo(f"plots: {', '.join(str(file) for file in plots if file.suffix == '.png')}")
 
 
@@ -179,6 +180,13 @@ def _progress(items: Iterable[_T], total: int, label: str) -> Iterator[_T]:
 
     console = Console(stderr=True)
     return iter(track(items, label, total, console=console, disable=not console.is_terminal, transient=True))
+
+
+def _show(table: Table) -> None:
+    """Print a table; a file or a pipe has no width, so that nothing is cut there."""
+    from rich.console import Console
+
+    Console(width=None if sys.stdout.isatty() else WIDE).print(table)
 
 
 def _alignment(name: str) -> Alignment:

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
@@ -22,7 +22,7 @@ class FeatureSettings(_Group):
     """Corners and their association."""
 
     association: Literal["ncc", "klt"] = "klt"
-    count: PositiveInt = Field(500, ge=8)  # corners per image, spread over a grid
+    count: PositiveInt = Field(400, ge=8)  # corners per image, spread over a grid
     threshold: PositiveInt = Field(10, le=255)  # FAST: grey levels between a corner and its surround
     spacing: int = Field(8, ge=0)  # pixels between new corners and those that exist
     klt_window: PositiveInt = Field(11, ge=5)  # pixels, side of the aligned patch
@@ -37,7 +37,7 @@ class VoSettings(_Group):
 
     min_inliers: PositiveInt = Field(15, ge=6)  # fewer, and the motion model carries on
     ransac_threshold: PositiveFloat = 1.0  # pixels, Sampson distance of an inlier
-    ransac_iterations: PositiveInt = 50  # at least
+    ransac_iterations: PositiveInt = 25  # at least
     static_parallax: PositiveFloat = 0.3  # pixels; less, beyond a small rotation, is standing still
     static_rotation: PositiveFloat = 0.0035  # rad; a vehicle that stands still may shake by this
     min_parallax: PositiveFloat = 0.7  # pixels; above, two views tell a baseline where no depths are known yet
@@ -136,12 +136,14 @@ def _parse(setting: str) -> dict[str, Any]:
     if not equals:
         raise ConfigError(f"a setting is written group.name=value, not '{setting}'")
     try:
-        nested: Any = yaml.safe_load(value)
+        parsed = yaml.safe_load(value)
     except yaml.YAMLError:
         raise ConfigError(f"the value of '{setting}' is not valid YAML") from None
-    for key in reversed(name.strip().split(".")):
-        nested = {key: nested}
-    return cast(dict[str, Any], nested)
+    *groups, last = name.strip().split(".")
+    values: dict[str, Any] = {last: parsed}
+    for group in reversed(groups):
+        values = {group: values}
+    return values
 
 
 def _merge(values: dict[str, Any], changes: dict[str, Any]) -> None:

@@ -1,10 +1,16 @@
 """What several tests share."""
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
+import cv2
 import pytest
+
+from fvslam_graph.cli import main
+from fvslam_graph.sequences.synthetic import synthetic_sequence
 
 ROOT = Path(__file__).parents[1]
 
@@ -20,3 +26,44 @@ def real_data() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plain folder to read or copy: 12 rendered images of a road between facades, with heights and ground truth."""
+    folder = tmp_path_factory.mktemp("recordings") / "drive"
+    (folder / "images").mkdir(parents=True)
+    sequence = synthetic_sequence("drive", frames=12, size="320x100")
+    times = ["filename,timestamp_s,height_m"]
+    for frame in sequence:
+        name = f"{frame.index:02d}.png"
+        assert cv2.imwrite(str(folder / "images" / name), frame.image)
+        times.append(f"{name},{frame.stamp:.3f},{frame.height:.3f}")
+    (folder / "times.csv").write_text("\n".join(times) + "\n")
+    camera = sequence.camera
+    (folder / "camera.yaml").write_text(
+        f"image_width: {camera.width}\nimage_height: {camera.height}\ncamera_matrix: {camera.K.ravel().tolist()}\n"
+    )
+    sequence.ground_truth.write_tum(folder / "groundtruth.tum")
+    return folder
+
+
+class Outcome(NamedTuple):
+    """How a command ended, and what it printed."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def fvslam(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+    """Runs the command line within this process; what it prints includes that of libraries in C++."""
+
+    def run(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["fvslam", *map(str, arguments)])
+        with pytest.raises(SystemExit) as exit:
+            main()
+        return Outcome(exit.value.code or 0, *capfd.readouterr())
+
+    return run

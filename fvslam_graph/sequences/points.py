@@ -100,10 +100,6 @@ class PointScene:
         points: Array = (self.landmarks - world_T_camera[:3, 3]) @ world_T_camera[:3, :3]
         return points
 
-    def in_view(self, frame: int) -> NDArray[np.bool_]:
-        """Which landmarks (M,) could be seen in a frame if they all lived forever."""
-        return self._project(frame)[1]
-
     def _project(self, frame: int) -> tuple[Array, NDArray[np.bool_]]:
         """Exact pixels (M, 2), and which are in view."""
         points = self.in_camera(frame)
@@ -132,7 +128,8 @@ def simulate(
         camera: The camera.
         surface: Where rays end; `within` for a range of depths.
         landmarks: Their number.
-        life: Frames for which a landmark can be seen at most; without it, for as long as it is in view.
+        life: Frames for which a landmark can be seen at most, among them the random one; without it, for as long as
+            it is in view.
         noise, outliers, seed, reach, ground: As in PointScene.
 
     Raises:
@@ -152,9 +149,10 @@ def simulate(
     poses = trajectory.matrices[frames]
     directions = np.einsum("nij,nj->ni", poses[:, :3, :3], rays)
     points = poses[:, :3, 3] + surface(poses[:, :3, 3], directions, rng)[:, None] * directions
-    endless = np.tile([0, len(trajectory)], (landmarks, 1))
-    scene = PointScene(camera, trajectory, points, endless, noise, outliers, seed, reach, ground)
-    return scene if life is None else replace(scene, lives=_lives(scene, life, rng))
+    lives = np.tile([0, len(trajectory)], (landmarks, 1))
+    if life is not None:
+        lives = (frames - rng.integers(0, life, landmarks))[:, None] + (0, life)
+    return PointScene(camera, trajectory, points, lives, noise, outliers, seed, reach, ground)
 
 
 def within(near: float, far: float) -> Surface:
@@ -218,11 +216,3 @@ def _scene(
     start = scene.trajectory.poses[0]
     landmarks = start.transformTo(scene.landmarks.T).T
     return replace(scene, trajectory=scene.trajectory.from_origin(), landmarks=landmarks)
-
-
-def _lives(scene: PointScene, life: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Lives of `life` frames that begin at random while the landmark is in view, or shortly before."""
-    seen = np.array([scene.in_view(frame) for frame in range(len(scene))])
-    first, last = seen.argmax(axis=0), len(scene) - 1 - seen[::-1].argmax(axis=0)
-    births = rng.integers(first - life + 1, last + 1)
-    return np.column_stack([births, births + life])

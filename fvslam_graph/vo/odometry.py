@@ -170,7 +170,8 @@ class VisualOdometry:
             tracks = tracks[two_view.inliers]
             previous, current = rays(self.camera, tracks.reference), rays(self.camera, tracks.current)
             unit = triangulate(tracks.ids, previous, current, two_view.rotation, two_view.direction, self.camera.fx)
-            fallback = self._motion_model.distance(frame.stamp - self._reference.stamp) or self._guess(unit)
+            guesses = [self._guess(unit), self._motion_model.distance(frame.stamp - self._reference.stamp)]
+            fallback = min(filter(None, guesses), key=lambda guess: guess.variance)
             scale, known = self._scale.estimate(
                 self._reference, frame, two_view, previous, unit, self._map, fallback, self._rng
             )
@@ -204,7 +205,7 @@ class VisualOdometry:
         """Take over a measured motion."""
         assert self._last_stamp is not None
         last_T_cur = self._ref_T_last.between(motion.ref_T_cur)
-        self._motion_model.observe(last_T_cur, frame.stamp - self._last_stamp)
+        self._motion_model.observe(last_T_cur, frame.stamp - self._last_stamp, motion.map.variance)
         self._ref_T_last, self._covariance, self._last_stamp = motion.ref_T_cur, motion.covariance, frame.stamp
         self._seen, self._failures = motion.tracks, 0
         estimate = self._estimate(frame, motion.ref_T_cur, motion.covariance, Status.TRACKED)
@@ -250,7 +251,8 @@ class VisualOdometry:
 
     def _guess(self, unit: InverseDepths) -> LogScale:
         """The scale at which triangulated points are as far away as things usually are."""
-        return LogScale(math.log(self._typical_depth() * max(float(np.median(unit.values)), 1e-3)), 1.0)
+        seen = unit.values[unit.values > 0]
+        return LogScale(math.log(self._typical_depth() * float(np.median(seen))) if len(seen) else 0.0, 1.0)
 
     def _typical_depth(self) -> float:
         """Metres to what is seen."""
