@@ -201,7 +201,7 @@ def _alignment(name: str) -> Alignment:
 def main() -> None:
     """Run the command line: exit code 0, 1 with one sentence on what is wrong, 2 for wrong usage."""
     try:
-        app()
+        app(prog_name="fvslam")
     except FvslamError as error:
         typer.echo(f"fvslam: {error}", err=True)
         sys.exit(1)

@@ -23,7 +23,8 @@ class FeatureSettings(_Group):
 
     association: Literal["ncc", "klt"] = "klt"
     count: PositiveInt = Field(400, ge=8)  # corners per image, spread over a grid
-    threshold: PositiveInt = Field(10, le=255)  # FAST: grey levels between a corner and its surround
+    octave: int = Field(1, ge=0, le=3)  # corners are detected in the image halved so many times: less noise, less time
+    threshold: PositiveInt = Field(7, le=255)  # FAST: grey levels between a corner and its surround
     spacing: int = Field(8, ge=0)  # pixels between new corners and those that exist
     klt_window: PositiveInt = Field(11, ge=5)  # pixels, side of the aligned patch
     klt_levels: int = Field(3, ge=0, le=6)  # pyramid levels above the full image
@@ -36,7 +37,7 @@ class VoSettings(_Group):
     """Relative pose from two views."""
 
     min_inliers: PositiveInt = Field(15, ge=6)  # fewer, and the motion model carries on
-    ransac_threshold: PositiveFloat = 1.0  # pixels, Sampson distance of an inlier
+    ransac_threshold: PositiveFloat = 0.7  # pixels, Sampson distance of an inlier
     ransac_iterations: PositiveInt = 25  # at least
     static_parallax: PositiveFloat = 0.3  # pixels; less, beyond a small rotation, is standing still
     static_rotation: PositiveFloat = 0.0035  # rad; a vehicle that stands still may shake by this
@@ -88,7 +89,7 @@ class Config(_Group):
 # The defaults above are `tuned`. `paper` is what the paper says: FAST corners matched as patterns between consecutive
 # frames, 25 features and more.
 _PAPER: dict[str, Any] = {
-    "features": {"association": "ncc", "threshold": 20},
+    "features": {"association": "ncc", "octave": 0, "threshold": 20},
     "vo": {"min_inliers": 25, "keyframe_parallax": 0.7},
 }
 

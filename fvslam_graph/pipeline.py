@@ -33,7 +33,8 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
         with stopwatch.stage("read"):
             frame = sequence.frame(index)
         odometry = vo.step(frame)
-        poses.append(poses[odometry.previous].compose(odometry.prev_T_cur) if poses else odometry.prev_T_cur)
+        start = poses[odometry.previous] if odometry.previous < index else gtsam.Pose3()  # the first usable image
+        poses.append(start.compose(odometry.prev_T_cur))
         times = dict.fromkeys(STAGES, 0.0) | stopwatch.times | odometry.times
         yield FrameResult(
             index=index,

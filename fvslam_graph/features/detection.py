@@ -28,17 +28,19 @@ def detect(image: Image, settings: FeatureSettings, taken: NDArray[np.float64] |
     Returns:
         (N, 2) pixels; N is below `count` where the image has empty cells.
     """
-    keypoints = cv2.FastFeatureDetector_create(settings.threshold, True).detect(image)
+    factor = 2**settings.octave
+    height, width = image.shape
+    small = cv2.resize(image, (round(width / factor), round(height / factor)), interpolation=cv2.INTER_AREA)
+    keypoints = cv2.FastFeatureDetector_create(settings.threshold, True).detect(small)
     if not keypoints:
         return np.empty((0, 2), np.float32)
-    corners = cv2.KeyPoint_convert(keypoints)
+    corners = (cv2.KeyPoint_convert(keypoints) + np.float32(0.5)) * factor - np.float32(0.5)
     strength = np.fromiter(map(attrgetter("response"), keypoints), float, len(keypoints))
     taken = np.empty((0, 2)) if taken is None else taken
     column, row = corners.astype(np.intp).T
     kept = _free(image.shape, taken, settings.spacing)[row, column] > 0
     corners, strength = corners[kept], strength[kept]
 
-    height, width = image.shape
     cell = math.ceil(math.sqrt(width * height * PER_CELL / settings.count))
     columns = -(-width // cell)
     cells = _cells(corners, cell, columns)

@@ -34,8 +34,8 @@ class KltTracker:
         if self._image is None or not len(self._points):
             return Tracks.none()
         found, forward = self._align(self._image, image, self._points, self._guess, self.settings.klt_levels)
-        # The way back starts at the answer, so that the finest levels suffice.
-        returned, backward = self._align(image, self._image, found, self._points, 1)
+        # The way back starts at the answer, so that the full image suffices.
+        returned, backward = self._align(image, self._image, found, self._points, 0)
         height, width = image.shape
         inside = np.all((found > BORDER) & (found < (width - BORDER - 1, height - BORDER - 1)), axis=1)
         error = np.linalg.norm(returned - self._points, axis=1)

@@ -16,6 +16,7 @@ from fvslam_graph.sequences.worlds.waves import Waves
 CAMERA_HEIGHT = 1.65  # metres above the road, as on KITTI's car
 LANE = 1.75  # metres from the middle of the street to that of a lane
 SPEED = 10.0  # m/s, on average
+_CYCLE, _PASSED = 100.0, 10.0  # metres: an oncoming car that is 10 m behind the camera begins anew 100 m farther on
 KITTI = Camera(1242, 375, 721.5377, 721.5377, 609.5593, 172.854)
 
 
@@ -55,7 +56,7 @@ class DriveWorld:
         self.street = Street(self.camera, drive_middle(seed), float(self.motion.path(duration)[0]), seed)
         rng = stream(seed, "traffic")
         self._gaps = [Waves.random(rng, (3.0, 7.0)) for _ in range(movers)]
-        self._starts = rng.uniform(30, 100, movers)
+        self._starts = rng.uniform(0, _CYCLE) + _CYCLE * np.arange(movers) / max(movers, 1)
 
     def render(self, time: float) -> Grey:
         """The image (H, W), grey values, at `time` in seconds."""
@@ -68,7 +69,7 @@ class DriveWorld:
     def _car(self, number: int, time: float) -> Solid:
         x = float(self.motion.path(time)[0])
         if number % 2 == 0:
-            gap = 12.0 + 10.0 * (number // 2) + float(self._gaps[number](time))
+            gap = 12.0 + 12.0 * (number // 2) + float(self._gaps[number](time))
             return self.street.roadside.vehicle(x + gap, -LANE, shade=0.9)
-        gap = (self._starts[number] - SPEED * time - x + 10.0) % 100.0 - 10.0
+        gap = (self._starts[number] - SPEED * time - x) % _CYCLE - _PASSED
         return self.street.roadside.vehicle(x + gap, LANE, shade=0.6)

@@ -1,0 +1,194 @@
+"""The commands, from their arguments to the files and the text that they leave."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+
+from fvslam_graph import pipeline
+from fvslam_graph.results import read_run
+
+COMMANDS = ("run", "evaluate", "plot", "info", "demo")
+HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib"}
+
+
+def test_run_evaluate_and_plot(drive, tmp_path, fvslam):
+    folder = tmp_path / "run"
+    outcome = fvslam("run", drive, "--out", folder)
+    assert outcome == (
+        0,
+        f"12 frames of drive: {folder}\nnext: fvslam evaluate {folder}; fvslam plot {folder}\n",
+        "",
+    )
+    run = read_run(folder)
+    assert (run.info["status"], len(run.online), run.coverage) == ("finished", 12, 1)
+    assert run.config["preset"] == "tuned"
+
+    code, out, err = fvslam("evaluate", folder)
+    assert (code, err) == (0, "")
+    assert "r_rel (deg/100 m)" in out and "APE (m)" in out  # nothing is cut where there is no terminal
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["alignment"] == "se3"
+    assert 11 < metrics["path_length"] < 16
+    assert 0.001 < metrics["rpe_trans"]["rmse"] < 0.3  # of steps of 1.2 m
+    assert (folder / "ape_trans.zip").is_file()
+
+    code, out, err = fvslam("plot", folder)
+    assert (code, err) == (0, "")
+    names = {line.rpartition("/")[2] for line in out.splitlines()}
+    assert {"plot_trajectory.png", "plot_trajectory.pdf", "plot_error.png", "plot_features.pdf"} <= names
+    assert all((folder / name).stat().st_size > 1000 for name in names)
+
+
+def test_options_reach_the_run(drive, tmp_path, fvslam):
+    settings = tmp_path / "settings.yaml"
+    settings.write_text("features: {count: 300, spacing: 5}\n")
+    part = ("--frames", "1:9", "--stride", 2, "--image-scale", 0.5)
+    ground = ("--camera-height", 3, "--camera-pitch", 0.1)
+    chosen = ("--preset", "paper", "--config", settings, "--set", "features.count=200", "--seed", 5)
+    code, _, err = fvslam("run", drive, "--out", tmp_path / "run", *part, *ground, *chosen)
+    assert (code, err) == (0, "")
+    run = read_run(tmp_path / "run")
+    assert (run.config["preset"], run.config["seed"]) == ("paper", 5)
+    assert (run.config["features"]["count"], run.config["features"]["spacing"]) == (200, 5)
+    assert run.frames["stamp"].tolist() == pytest.approx([0.1, 0.3, 0.5, 0.7])
+    assert run.info["ground"] == "given"
+    assert run.info["down"] == pytest.approx([0, np.cos(0.1), np.sin(0.1)])
+
+
+def test_the_default_folder_needs_no_quotes(tmp_path, monkeypatch, fvslam):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = fvslam("run", "synthetic:drive?frames=2&size=320x100")
+    folder = "runs/synthetic-drive-frames-2-size-320x100-tuned"
+    assert code == 0 and out.endswith(f"fvslam plot {folder}\n")
+    assert read_run(tmp_path / folder).info["sequence"] == "synthetic:drive?frames=2&size=320x100"
+
+
+@pytest.mark.parametrize("preset", ["paper", "tuned"])
+def test_the_same_seed_gives_the_same_bits(drive, tmp_path, fvslam, preset):
+    for name in ("a", "b"):
+        assert fvslam("run", drive, "--out", tmp_path / name, "--preset", preset, "--seed", 3).code == 0
+    for name in ("trajectory_online.tum", "trajectory_online.kitti", "covariances.npz"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert read_run(tmp_path / "a").online.path_length > 5
+
+
+def test_without_known_ground_the_scale_is_relative(drive, tmp_path, fvslam):
+    recording = shutil.copytree(drive, tmp_path / "drive")
+    (recording / "times.csv").unlink()
+    code, _, err = fvslam("run", recording, "--out", tmp_path / "run")
+    assert code == 0
+    assert err == "drive: no ground is known, so the scale is relative (scale source 'map')\n"
+    assert read_run(tmp_path / "run").config["scale"]["source"] == "map"
+
+
+def test_unreadable_images_are_skipped_and_counted(drive, tmp_path, fvslam):
+    recording = shutil.copytree(drive, tmp_path / "drive")
+    (recording / "images" / "00.png").unlink()
+    image = recording / "images" / "05.png"
+    image.write_bytes(image.read_bytes()[:2000])
+    (recording / "images" / "06.png").write_bytes(b"")
+    code, _, err = fvslam("run", recording, "--out", tmp_path / "run")
+    assert (code, err) == (0, "")
+    run = read_run(tmp_path / "run")
+    assert np.flatnonzero(run.frames["status"] == "skipped").tolist() == [0, 5, 6]
+    assert (run.info["status"], run.info["totals"]["statuses"]["skipped"], run.coverage) == ("finished", 3, 1)
+    assert fvslam("evaluate", tmp_path / "run").code == 0
+
+
+def test_an_interrupted_run_is_kept(drive, tmp_path, monkeypatch, fvslam):
+    def interrupted(sequence, config, estimate=pipeline.estimate):
+        for result in estimate(sequence, config):
+            if result.index == 4:
+                raise KeyboardInterrupt
+            yield result
+
+    monkeypatch.setattr(pipeline, "estimate", interrupted)
+    code, out, err = fvslam("run", drive, "--out", tmp_path / "run")
+    assert (code, out, err) == (130, "", "")
+    run = read_run(tmp_path / "run")
+    assert (run.info["status"], len(run.online), run.info["totals"]["frames"]) == ("interrupted", 4, 4)
+    code, out, _ = fvslam("evaluate", tmp_path / "run")
+    assert code == 0 and "interrupted" in out and "33.3 %" in out
+
+
+def test_evaluate_files_with_a_reference(drive, tmp_path, fvslam):
+    truth = drive / "groundtruth.tum"
+    code, out, err = fvslam("evaluate", truth, "--reference", truth, "--align", "sim3")
+    assert (code, err) == (0, "")
+    assert "12 of 12 poses" in out and "sim3 (scale to the reference 1.0000)" in out
+
+
+def test_info(drive, fvslam):
+    code, out, err = fvslam("info", drive)
+    assert (code, err) == (0, "")
+    facts = dict(line.split(maxsplit=1) for line in out.splitlines())
+    assert facts["format"].strip() == "folder"
+    assert facts["frames"].startswith("12 in 1.1 s, 10.0 Hz")
+    assert facts["images"].startswith("320x100 pixels")
+    assert "12 poses" in out and "above ground (times.csv height_m)" in facts["scale"]
+    assert "above ground (given)" in fvslam("info", drive, "--camera-height", 2).out
+
+
+def test_demo(tmp_path, fvslam):
+    code, out, err = fvslam("demo", "--frames", 10, "--out", tmp_path)
+    assert (code, err) == (0, "")
+    for name in ("tuned", "tuned-map-scale", "paper"):
+        assert (tmp_path / name / "metrics.json").is_file()
+        assert f"│ {name} " in out
+    plots = out.splitlines()[-1].removeprefix("plots: ").split(", ")
+    assert len(plots) >= 3 and all((tmp_path / "plots" / plot.rpartition("/")[2]).is_file() for plot in plots)
+
+
+def test_a_progress_bar_on_a_terminal_only(drive, tmp_path, monkeypatch, fvslam):
+    assert fvslam("run", drive, "--out", tmp_path / "run").err == ""
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes this for a terminal
+    assert "100%" in fvslam("run", drive, "--out", tmp_path / "run").err
+
+
+@pytest.mark.parametrize("command", [(), *((command,) for command in COMMANDS)])
+def test_help(fvslam, command):
+    code, out, err = fvslam(*command, "--help")
+    assert (code, err) == (0, "")
+    assert "Usage: fvslam" in out
+    assert all(name in out for name in (COMMANDS if not command else ("--help",)))
+
+
+@pytest.mark.parametrize("arguments", [["run"], ["run", "x", "--stride", "0"], ["run", "x", "--seed", "y"], ["fly"]])
+def test_wrong_usage_exits_with_2(fvslam, arguments):
+    code, out, err = fvslam(*arguments)
+    assert (code, out) == (2, "") and "Usage: fvslam" in err
+
+
+def test_help_imports_nothing_heavy():
+    script = (
+        "import sys\n"
+        "from fvslam_graph.cli import app\n"
+        f"for command in {[[], *([command] for command in COMMANDS)]}:\n"
+        "    app([*command, '--help'], standalone_mode=False)\n"
+        "print(*{name.partition('.')[0] for name in sys.modules}, file=sys.stderr)\n"
+    )
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    imported = set(process.stderr.split())
+    assert "typer" in imported
+    assert not imported & HEAVY
+
+
+def test_the_package_is_a_program(tmp_path):
+    command = [sys.executable, "-m", "fvslam_graph", "info", str(tmp_path / "absent")]
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 1
+    assert process.stderr == f"fvslam: {tmp_path / 'absent'} does not exist\n"
+
+
+def test_the_config_of_a_run_repeats_it(drive, tmp_path, fvslam):
+    assert fvslam("run", drive, "--out", tmp_path / "a", "--preset", "paper", "--set", "vo.min_inliers=30").code == 0
+    assert fvslam("run", drive, "--out", tmp_path / "b", "--config", tmp_path / "a" / "config.yaml").code == 0
+    config = yaml.safe_load((tmp_path / "b" / "config.yaml").read_text())
+    assert (config["preset"], config["vo"]["min_inliers"]) == ("paper", 30)
+    for name in ("config.yaml", "trajectory_online.tum"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
