@@ -88,6 +88,6 @@ def _altimeter(heights: NDArray[np.float64]) -> Ground | None:
     known = np.unique(heights[np.isfinite(heights)])
     if not len(known):
         return None
-    resolution = float(np.diff(known).min()) if len(known) > 1 else 0.0
+    resolution = round(float(np.diff(known).min()), 6) if len(known) > 1 else 0.0
     ground = level_ground(np.maximum(heights, resolution), UAV_TILT, "times.csv height_m")
     return replace(ground, height_sigma=resolution)

@@ -45,7 +45,7 @@ def override_ground(sequence: Sequence, height: float | None, pitch: float | Non
     if height is not None:
         heights = np.full(len(sequence), float(height))
         known = ground or level_ground(heights, UAV_TILT, "given")
-        ground = replace(known, heights=heights, source="given")
+        ground = replace(known, heights=heights, height_sigma=0.0, source="given")
     if ground is None:
         raise SequenceError(f"{sequence.name} has no ground height: give the camera height along with its pitch")
     if pitch is not None:

@@ -13,7 +13,7 @@ def test_a_full_recording(plain_folder):
         ("ground truth", "2 poses, 5.0 m, covers 50% of the frames"),
         (
             "scale",
-            "camera 0.50 to 4.50 m above ground, known for 9 frames (times.csv height_m); "
+            "camera 0.50 to 4.50 m +- 0.50 m above ground (times.csv height_m); "
             "ground normal (0.000, 1.000, 0.000), sigma 17.2 deg",
         ),
         ("gaps", "none"),

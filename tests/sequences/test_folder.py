@@ -10,9 +10,11 @@ def test_listed_images_with_heights(plain_folder):
     assert (sequence.name, sequence.format, len(sequence)) == ("flight", "folder", 10)
     np.testing.assert_allclose(sequence.stamps, 0.1 * np.arange(10))
     # On the floor the altimeter says nothing.
-    np.testing.assert_allclose(sequence.ground.heights, [np.nan, *0.5 * np.arange(1, 10)])
+    # A reading below the altimeter's smallest step means at most that step.
+    np.testing.assert_allclose(sequence.ground.heights, [0.5, *0.5 * np.arange(1, 10)])
+    assert sequence.ground.height_sigma == 0.5
     assert sequence.ground.source == "times.csv height_m" and sequence.ground.normal_sigma == 0.3
-    assert np.isnan(sequence.frame(0).height) and sequence.frame(4).height == 2.0
+    assert sequence.frame(0).height == 0.5 and sequence.frame(4).height == 2.0
     assert sequence.ground_truth is None and sequence.notes == ()
 
 
@@ -97,4 +99,4 @@ def test_real_flight(real_data):
     sequence = open_sequence(real_data("tello/line"))
     assert (len(sequence), len(sequence.ground_truth)) == (211, 211)
     assert sequence.frame(210).image.shape == (720, 960)
-    assert int(np.isfinite(sequence.ground.heights).sum()) == 178
+    assert sequence.ground.height_sigma == 0.1 and sequence.ground.heights.min() == 0.1
