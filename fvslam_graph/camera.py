@@ -24,6 +24,7 @@ class Distortion(StrEnum):
     EQUIDISTANT = "equidistant"  # k1 k2 k3 k4, Kannala and Brandt 2006, as OpenCV's fisheye model
 
 
+_CONVERGED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)  # of undistortion, which is iterative
 _COEFFICIENTS = {Distortion.NONE: (0,), Distortion.RADTAN: (4, 5), Distortion.EQUIDISTANT: (4,)}
 
 
@@ -82,21 +83,24 @@ class Camera:
     def normalize(self, pixels: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Undistorted image coordinates (N, 2) at unit depth (x/z, y/z) of pixels (N, 2)."""
         pixels = np.asarray(pixels, float).reshape(-1, 2)
-        if self.distortion is Distortion.NONE:
+        if self.distortion is Distortion.NONE or not len(pixels):
             return np.asarray((pixels - (self.cx, self.cy)) / (self.fx, self.fy), float)
         undistort = cv2.fisheye.undistortPoints if self.distortion is Distortion.EQUIDISTANT else cv2.undistortPoints
-        return np.asarray(undistort(pixels[:, None], self.K, np.array(self.coefficients)), float).reshape(-1, 2)
+        normalized = undistort(pixels[:, None], self.K, np.array(self.coefficients), criteria=_CONVERGED)
+        return np.asarray(normalized, float).reshape(-1, 2)
 
     def scaled(self, factor: float) -> Camera:
-        """The camera of the same images, resized by `factor` (> 0) with pixel areas averaged."""
+        """The camera of the same images, resized by `factor` (> 0) to whole pixels, with pixel areas averaged."""
+        width, height = round(self.width * factor), round(self.height * factor)
+        across, down = width / self.width, height / self.height
         return replace(
             self,
-            width=round(self.width * factor),
-            height=round(self.height * factor),
-            fx=self.fx * factor,
-            fy=self.fy * factor,
-            cx=(self.cx + 0.5) * factor - 0.5,  # pixel centres, not corners, are at whole numbers
-            cy=(self.cy + 0.5) * factor - 0.5,
+            width=width,
+            height=height,
+            fx=self.fx * across,
+            fy=self.fy * down,
+            cx=(self.cx + 0.5) * across - 0.5,  # pixel centres, not corners, are at whole numbers
+            cy=(self.cy + 0.5) * down - 0.5,
         )
 
     def undistorted(self) -> Camera:

@@ -56,8 +56,11 @@ class Trajectory:
 
     @classmethod
     def from_matrices(cls, stamps: NDArray[np.float64], matrices: NDArray[np.float64]) -> Trajectory:
-        """From homogeneous matrices (N, 4, 4); rotations are brought back onto SO(3)."""
+        """From homogeneous matrices (N, 4, 4); rotations, which text files round, are brought back onto SO(3)."""
         _require(np.isfinite(matrices).all(axis=(1, 2)), "has a pose with a number that is not finite")
+        turns = matrices[:, :3, :3]
+        off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+        _require((off < 0.01) & (np.linalg.det(turns) > 0), "has a pose without a proper rotation matrix")
         return cls(np.asarray(stamps, float), tuple(pose_from_matrix(matrix) for matrix in matrices))
 
     @cached_property

@@ -205,13 +205,14 @@ def _draw_speed(figure: Figure, curves: Sequence[_Curve], truth: Trajectory | No
     speed.set_ylabel("speed (m/s)")
     speed.set_ylim(bottom=0)
     for axes, curve in zip(panels, scaled, strict=True):
-        times, scale = curve.run.online.stamps - begin, curve.run.frames["scale"]
+        known = np.isfinite(curve.run.frames["scale"])  # not every frame estimates one
+        times, scale = (curve.run.online.stamps - begin)[known], curve.run.frames["scale"][known]
         axes.plot(times, scale, color=curve.colour)
         if "scale_sigma" in curve.run.frames:
-            margin = 2 * curve.run.frames["scale_sigma"]
+            margin = 2 * curve.run.frames["scale_sigma"][known]
             axes.fill_between(times, scale - margin, scale + margin, color=curve.colour, alpha=0.25, linewidth=0)
         if curve.evaluation is not None and curve.run.relatives is not None:
-            axes.plot(times, _baselines(curve.evaluation.association, curve.run.relatives), **TRUTH)
+            axes.plot(times, _baselines(curve.evaluation.association, curve.run.relatives)[known], **TRUTH)
         axes.set_ylabel("scale $\\pm 2\\sigma$\n(m per baseline)")
         axes.set_title(curve.run.name, fontsize=9)
     (panels or [speed])[-1].set_xlabel("time (s)")
