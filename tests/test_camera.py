@@ -97,7 +97,7 @@ def test_scaled_fits_images_that_opencv_shrinks():
 def test_rectified_points_are_where_the_ideal_camera_sees_them(camera, target_R_source):
     target = Camera(400, 300, 180.0, 190.0, 205.0, 140.0)
 
-    def wallpaper(rays):  # 8 grey values a pixel
+    def wallpaper(rays):  # up to 6.7 grey values a pixel
         return 127.5 + 60 * np.sin(20 * rays[:, 0] / rays[:, 2]) + 60 * np.cos(20 * rays[:, 1] / rays[:, 2])
 
     rays = rays_of(target, every_pixel(target))
@@ -109,8 +109,8 @@ def test_rectified_points_are_where_the_ideal_camera_sees_them(camera, target_R_
     seen = camera.project(in_source)
     inside = np.all((seen > 1) & (seen < (camera.width - 2, camera.height - 2)), axis=1)
     inside &= np.linalg.norm(in_source[:, :2], axis=1) < 0.9  # the polynomials of real lenses fold back further out
-    assert inside.mean() > 0.25; print("MAX", np.abs(rectified.ravel() - wallpaper(in_source))[inside].max(), inside.mean())
-    assert np.abs(rectified.ravel() - wallpaper(in_source))[inside].max() < 2.0  # measured 1.3, a quarter of a pixel
+    assert inside.mean() > 0.25
+    assert np.abs(rectified.ravel() - wallpaper(in_source))[inside].max() < 1.5  # measured 1.0: rounding, twice
 
 
 @pytest.mark.parametrize(

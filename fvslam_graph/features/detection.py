@@ -29,8 +29,8 @@ def detect(image: Image, settings: FeatureSettings, taken: NDArray[np.float64] |
         (N, 2) pixels; N is below `count` where the image has empty cells.
     """
     factor = 2**settings.octave
-    height, width = image.shape
-    small = cv2.resize(image, (round(width / factor), round(height / factor)), interpolation=cv2.INTER_AREA)
+    height, width = (side // factor * factor for side in image.shape)
+    small = cv2.resize(image[:height, :width], (width // factor, height // factor), interpolation=cv2.INTER_AREA)
     keypoints = cv2.FastFeatureDetector_create(settings.threshold, True).detect(small)
     if not keypoints:
         return np.empty((0, 2), np.float32)

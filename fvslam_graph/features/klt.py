@@ -11,7 +11,7 @@ from fvslam_graph.config import FeatureSettings
 from fvslam_graph.features.detection import BORDER, detect
 from fvslam_graph.features.tracks import Tracks
 
-_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
 
 
 class KltTracker:

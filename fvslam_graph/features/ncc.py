@@ -61,7 +61,7 @@ def _patches(image: Image, centres: NDArray[np.intp]) -> NDArray[np.float32]:
     """Patches around whole pixels (N, 2), as rows (N, PATCH^2) of zero mean and unit length."""
     windows = np.lib.stride_tricks.sliding_window_view(image, (PATCH, PATCH))
     corner = centres - PATCH // 2
-    rows = windows[corner[:, 1], corner[:, 0]].reshape(len(centres), -1).astype(np.float32)
+    rows = windows[corner[:, 1], corner[:, 0]].reshape(-1, PATCH * PATCH).astype(np.float32)
     rows -= rows.mean(axis=1, keepdims=True)
     unit: NDArray[np.float32] = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-6)
     return unit

@@ -19,10 +19,10 @@ from fvslam_graph.config import GroundSettings
 from fvslam_graph.vo.depth import InverseDepths, triangulate
 from fvslam_graph.vo.two_view import TwoView, rays, sampson
 
-_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
 _WINDOW = (21, 11)  # pixels; wide and low, as the texture of a road seen from a car
 _SEARCH = 8.0  # pixels that the ground may lie off its prediction
-_HYPOTHESES = 100
+_HYPOTHESES = 60
 MIN_TRACKS = 10  # on the ground, for a first guess
 
 
@@ -171,7 +171,7 @@ class GroundAligner:
         self, ray: NDArray[np.float64], depths: InverseDepths, plane: NDArray[np.float64]
     ) -> GroundPlane | None:
         """Iteratively reweighted least squares (Geman-McClure) with the nominal normal as a prior."""
-        for _ in range(10):
+        for _ in range(6):
             length = float(np.linalg.norm(plane))
             if not length > 0:
                 return None

@@ -120,11 +120,16 @@ class VisualOdometry:
             )
             parallax = float(np.median(unexplained))
 
+        # A reference that is about to be given up, or has no map yet, is triangulated at whatever parallax there is.
+        given_up = len(tracks) < self.settings.keyframe_tracks * self._points or not len(self._map)
+        wanted = self.settings.min_parallax if given_up else self.settings.keyframe_parallax
         motion = None
-        if parallax > (self.settings.keyframe_parallax if len(self._map) else self.settings.min_parallax):
+        if parallax > wanted:
             motion = self._move_by_two_views(frame, tracks)
         if motion is None:
             motion = self._move_in_map(tracks)
+        if motion is None and self.settings.min_parallax < parallax <= wanted:
+            motion = self._move_by_two_views(frame, tracks)
         if motion is None and parallax < self.settings.keyframe_parallax:
             motion = self._turn(tracks, rotation, parallax)
         if motion is None:
@@ -203,9 +208,9 @@ class VisualOdometry:
 
     def _accept(self, frame: Frame, motion: _Motion) -> VoEstimate:
         """Take over a measured motion."""
-        assert self._last_stamp is not None
-        last_T_cur = self._ref_T_last.between(motion.ref_T_cur)
-        self._motion_model.observe(last_T_cur, frame.stamp - self._last_stamp, motion.map.variance)
+        assert self._reference is not None
+        # The mean since the reference: a difference of two poses that are near each other would be mostly noise.
+        self._motion_model.observe(motion.ref_T_cur, frame.stamp - self._reference.stamp, motion.map.variance)
         self._ref_T_last, self._covariance, self._last_stamp = motion.ref_T_cur, motion.covariance, frame.stamp
         self._seen, self._failures = motion.tracks, 0
         estimate = self._estimate(frame, motion.ref_T_cur, motion.covariance, Status.TRACKED)

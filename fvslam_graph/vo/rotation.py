@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-_ITERATIONS = 5
+_ITERATIONS = 4
 
 
 def fit_rotation(

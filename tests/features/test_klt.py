@@ -1,0 +1,94 @@
+"""Tracking: how well points are found again, and which are not."""
+
+import numpy as np
+import pytest
+
+from fvslam_graph.config import FeatureSettings
+from fvslam_graph.features.detection import BORDER
+from fvslam_graph.features.klt import KltTracker
+from fvslam_graph.features.tracks import Tracks
+
+
+@pytest.fixture
+def tracker(texture):
+    """A tracker whose reference is the texture, unmoved, with some noise."""
+    tracker = KltTracker(FeatureSettings())
+    tracker.rebase(texture(noise=1.0), Tracks.none())
+    return tracker
+
+
+def misses(tracks: Tracks, shift) -> np.ndarray:
+    """Distances of tracks from where they should be, (N,) pixels."""
+    return np.linalg.norm(tracks.current - tracks.reference - shift, axis=1)
+
+
+@pytest.mark.parametrize("shift", [(0.3, -0.4), (3.6, 2.3), (-12.3, 7.7)])
+def test_points_are_found_to_a_fraction_of_a_pixel(texture, tracker, shift):
+    tracks = tracker.track(texture(shift, noise=1.0))
+    assert len(tracks) > 300
+    assert 0.001 < np.median(misses(tracks, shift)) < 0.025  # measured 0.011 to 0.014
+    assert misses(tracks, shift).max() < 0.2  # measured 0.04 to 0.07
+
+
+def test_the_same_image_has_not_moved(texture):
+    tracker = KltTracker(FeatureSettings())
+    points = tracker.rebase(texture(), Tracks.none())
+    tracks = tracker.track(texture())
+    assert np.array_equal(tracks.ids, points.ids)
+    assert misses(tracks, 0).max() < 1e-3
+
+
+def test_alignment_with_the_reference_does_not_drift(texture, tracker):
+    first = np.median(misses(tracker.track(texture((0.45, -0.3), noise=1.0)), (0.45, -0.3)))
+    for step in range(2, 41):
+        shift = (0.45 * step, -0.3 * step)
+        tracks = tracker.track(texture(shift, noise=1.0))
+    assert len(tracks) > 250  # the others have left the image
+    assert np.median(misses(tracks, shift)) < 1.5 * first  # measured 1.0
+    assert np.linalg.norm(np.mean(tracks.current - tracks.reference - shift, axis=0)) < 0.01
+
+
+def test_what_is_covered_is_lost(texture, tracker):
+    image = texture()
+    image[:, 160:] = texture(seed=5)[:, 160:]
+    points = tracker.rebase(texture(), Tracks.none())
+    tracks = tracker.track(image)
+    seen, covered = tracks.reference[:, 0] < 150, tracks.reference[:, 0] > 170
+    assert seen.sum() == (points.current[:, 0] < 150).sum()
+    assert misses(tracks[seen], 0).max() < 0.02
+    assert covered.sum() < 0.35 * (points.current[:, 0] > 170).sum()  # measured 0.19: something similar is around
+
+
+def test_what_leaves_the_image_is_lost(texture, tracker):
+    image = texture()
+    for step in range(1, 7):
+        tracks = tracker.track(texture((10.0 * step, 0.0)))
+        assert tracks.current.min() > BORDER
+        assert np.all(tracks.current < (image.shape[1] - 1 - BORDER, image.shape[0] - 1 - BORDER))
+    gone = tracks.reference[:, 0] > image.shape[1] - 60
+    assert not np.any(misses(tracks[gone], (60.0, 0.0)) < 5)
+
+
+def test_an_image_without_texture(texture, tracker):
+    assert len(tracker.track(np.zeros_like(texture()))) == 0
+    assert len(tracker.track(texture())) > 300  # and what comes after it is found
+
+
+def test_without_points_there_are_no_tracks(texture):
+    tracker = KltTracker(FeatureSettings())
+    assert len(tracker.track(texture())) == 0
+    assert len(tracker.rebase(np.zeros_like(texture()), Tracks.none())) == 0
+    assert len(tracker.track(texture())) == 0
+
+
+def test_points_keep_their_ids(texture, tracker):
+    tracks = tracker.track(texture((30.0, 0.0)))
+    kept = tracks[tracks.ids % 2 == 0]
+    points = tracker.rebase(texture((30.0, 0.0)), kept)
+    assert np.array_equal(points.ids[: len(kept)], kept.ids)
+    assert np.allclose(points.current[: len(kept)], kept.current, atol=1e-4)
+    assert len(np.unique(points.ids)) == len(points) > len(kept) + 50
+    assert points.ids[len(kept) :].min() > tracks.ids.max()  # no number is given twice
+    again = tracker.track(texture((33.0, 1.0)))
+    assert np.isin(again.ids, points.ids).all()
+    assert np.median(misses(again, (3.0, 1.0))) < 0.03

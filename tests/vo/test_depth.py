@@ -1,0 +1,123 @@
+"""Inverse depths: triangulated, put together and carried into another camera."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.vo.depth import PIXEL_NOISE, InverseDepths, triangulate
+from fvslam_graph.vo.two_view import rays
+
+MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.6, -0.2, 0.5]))
+
+
+def from_scene(camera, scene, motion=MOTION, current=None) -> InverseDepths:
+    tracks = scene.tracks
+    current = tracks.current if current is None else current
+    return triangulate(
+        tracks.ids,
+        rays(camera, tracks.reference),
+        rays(camera, current),
+        motion.rotation(),
+        motion.translation(),
+        camera.fx,
+    )
+
+
+def test_triangulation_is_exact(camera, two_views):
+    scene = two_views(MOTION)
+    depths = from_scene(camera, scene)
+    assert depths.values == pytest.approx(1 / scene.points[:, 2], rel=1e-9)
+    assert np.array_equal(depths.ids, scene.tracks.ids)
+
+
+def test_the_baseline_is_the_unit(camera, two_views):
+    scene = two_views(MOTION)
+    length = np.linalg.norm(MOTION.translation())
+    unit = from_scene(camera, scene, gtsam.Pose3(MOTION.rotation(), MOTION.translation() / length))
+    metric = unit.scaled(length)
+    assert metric.values == pytest.approx(1 / scene.points[:, 2], rel=1e-9)
+    assert metric.sigmas == pytest.approx(unit.sigmas / length)
+
+
+def test_sigmas_are_honest(camera, two_views):
+    scene = two_views(MOTION)
+    true = 1 / scene.points[:, 2]
+    normalized = []
+    for seed in range(100):
+        noise = PIXEL_NOISE * np.random.default_rng(seed).standard_normal(scene.tracks.current.shape)
+        depths = from_scene(camera, scene, current=scene.tracks.current + noise)
+        normalized.append((depths.values - true) / depths.sigmas)
+    assert np.std(normalized) == pytest.approx(1.0, abs=0.05)
+    assert np.std(normalized, axis=0) == pytest.approx(1.0, abs=0.35)  # of every point, whatever its parallax
+    assert abs(np.mean(normalized)) < 0.03
+
+
+def test_parallax_the_wrong_way_is_a_negative_depth(camera):
+    sideways, ahead = np.array([1.0, 0.0, 0.0]), np.array([[0.0, 0.0, 1.0]] * 2)
+    moved = np.array([[-0.1, 0.0, 1.0], [0.1, 0.0, 1.0]])
+    depths = triangulate(np.arange(2), ahead, moved, gtsam.Rot3(), sideways, camera.fx)
+    assert depths.values == pytest.approx([0.1, -0.1])
+
+
+def test_no_depth_along_the_direction_of_travel(camera):
+    ahead, forward = np.array([[0.0, 0.0, 1.0]]), np.array([0.0, 0.0, 1.0])
+    depths = triangulate(np.arange(1), ahead, ahead, gtsam.Rot3(), forward, camera.fx)
+    assert np.isfinite(depths.values).all() and depths.sigmas[0] > 1e3
+
+
+def test_fused_is_weighted_by_information():
+    a = InverseDepths(np.array([3, 1, 5]), np.array([0.3, 0.1, 0.5]), np.array([0.02, 0.01, 0.05]))
+    b = InverseDepths(np.array([5, 7, 1]), np.array([0.6, 0.7, 0.2]), np.array([0.05, 0.07, 0.03]))
+    both = a.fused(b)
+    known = {int(i): (value, sigma) for i, value, sigma in zip(both.ids, both.values, both.sigmas, strict=True)}
+    assert sorted(known) == [1, 3, 5, 7]
+    assert known[3] == (0.3, 0.02) and known[7] == (0.7, 0.07)
+    assert known[5] == pytest.approx((0.55, 0.05 / 2**0.5))
+    # Kalman: gain 0.01^2 / (0.01^2 + 0.03^2) = 0.1
+    assert known[1] == pytest.approx((0.11, 0.01 * 0.9**0.5))
+
+
+def test_fused_with_nothing():
+    some = InverseDepths(np.array([1, 2]), np.array([0.1, 0.2]), np.array([0.01, 0.02]))
+    for both in (some.fused(InverseDepths.none()), InverseDepths.none().fused(some)):
+        assert both.ids.tolist() == [1, 2] and both.values.tolist() == [0.1, 0.2]
+    assert len(InverseDepths.none().fused(InverseDepths.none())) == 0
+
+
+def test_common():
+    depths = InverseDepths(np.array([8, 2, 5]), np.array([0.8, 0.2, 0.5]), np.ones(3))
+    ids = np.array([5, 9, 8, 1])
+    mine, theirs = depths.common(ids)
+    assert depths.ids[mine].tolist() == ids[theirs].tolist() == [5, 8]
+    assert depths[mine].values.tolist() == [0.5, 0.8]
+
+
+def test_moved_is_exact(camera, two_views):
+    scene = two_views(MOTION)
+    depths = InverseDepths(scene.tracks.ids, 1 / scene.points[:, 2], np.full(len(scene.points), 0.01))
+    moved = depths.moved(rays(camera, scene.tracks.reference), MOTION)
+    in_new = MOTION.transformTo(scene.points.T).T
+    assert np.array_equal(moved.ids, depths.ids)
+    assert moved.values == pytest.approx(1 / in_new[:, 2], rel=1e-9)
+
+
+def test_moved_sigmas_by_finite_differences(camera, two_views):
+    scene = two_views(MOTION)
+    ray, step = rays(camera, scene.tracks.reference), 1e-7
+    values, sigmas = 1 / scene.points[:, 2], np.linspace(0.001, 0.01, len(scene.points))
+
+    def moved(change: float) -> InverseDepths:
+        return InverseDepths(scene.tracks.ids, values + change, sigmas).moved(ray, MOTION)
+
+    derivative = (moved(step).values - moved(-step).values) / (2 * step)
+    assert moved(0).sigmas == pytest.approx(sigmas * np.abs(derivative), rel=1e-5)
+
+
+def test_points_that_are_passed_are_dropped():
+    ray = np.array([[0.0, 0.0, 1.0]] * 5)
+    depths = InverseDepths(np.arange(5), np.array([1 / 10, 1 / 2.5, 1 / 2.05, 1 / 1.5, -1 / 10]), np.full(5, 0.01))
+    moved = depths.moved(ray, gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 2.0])))
+    assert moved.ids.tolist() == [0, 1]  # the third is 5 cm ahead, the fourth behind, the last never was in front
+    assert moved.values == pytest.approx([1 / 8, 1 / 0.5])
+    around = gtsam.Pose3(gtsam.Rot3.Ry(np.pi), np.zeros(3))
+    assert len(depths.moved(ray, around)) == 0

@@ -1,0 +1,41 @@
+"""What two views and a scale make of a pose and of its covariance."""
+
+import math
+
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.vo.estimate import metric_pose
+from fvslam_graph.vo.scale import LogScale
+from fvslam_graph.vo.two_view import TwoView
+
+ROTATION = gtsam.Rot3.Expmap(np.array([0.3, -0.2, 0.5]))
+DIRECTION = gtsam.Unit3(np.array([0.3, -0.5, 0.8]))
+SCALE = LogScale(math.log(2.5), 0.04)
+
+
+def test_covariance_by_finite_differences():
+    mixing = 0.1 * np.random.default_rng(0).standard_normal((5, 5))
+    two_view = TwoView(ROTATION, DIRECTION.point3(), mixing @ mixing.T, np.ones(1, bool))
+    pose, covariance = metric_pose(two_view, SCALE)
+    assert pose.equals(gtsam.Pose3(ROTATION, 2.5 * DIRECTION.point3()), 1e-12)
+
+    def change(step: np.ndarray) -> np.ndarray:
+        moved = gtsam.EssentialMatrix(ROTATION, DIRECTION).retract(step[:5])
+        metres = math.exp(SCALE.mean + step[5])
+        return gtsam.Pose3.Logmap(pose.between(gtsam.Pose3(moved.rotation(), metres * moved.direction().point3())))
+
+    step = 1e-6
+    jacobian = np.column_stack([(change(step * e) - change(-step * e)) / (2 * step) for e in np.eye(6)])
+    measured = np.zeros((6, 6))
+    measured[:5, :5], measured[5, 5] = two_view.covariance, SCALE.variance
+    assert covariance == pytest.approx(jacobian @ measured @ jacobian.T, rel=1e-6, abs=1e-8)
+    assert np.array_equal(covariance, covariance.T)
+
+
+def test_an_unknown_scale_is_uncertain_along_the_baseline_alone():
+    two_view = TwoView(ROTATION, DIRECTION.point3(), np.zeros((5, 5)), np.ones(1, bool))
+    _, covariance = metric_pose(two_view, LogScale(0.0, 1.0))
+    along = np.concatenate([np.zeros(3), ROTATION.unrotate(DIRECTION.point3())])
+    assert covariance == pytest.approx(np.outer(along, along), abs=1e-12)

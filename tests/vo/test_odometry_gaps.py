@@ -1,0 +1,89 @@
+"""Visual odometry where images are missing, tell nothing or show something else."""
+
+from itertools import pairwise
+
+import cv2
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.config import load_config
+from fvslam_graph.features.detection import detect
+from fvslam_graph.trajectory import Status
+from fvslam_graph.vo.motion_model import compose_covariance
+from fvslam_graph.vo.odometry import PATIENCE
+
+
+def statuses(estimates) -> list[Status]:
+    return [estimate.status for estimate in estimates]
+
+
+def length(pose: gtsam.Pose3) -> float:
+    return float(np.linalg.norm(pose.translation()))
+
+
+@pytest.mark.parametrize(("image", "status"), [("black", Status.COASTED), (None, Status.SKIPPED)])
+def test_coasting_over_a_gap(flight, image, status):
+    gap = np.zeros_like(flight.frames[0].image) if image else None
+    estimates = flight.run(dict.fromkeys(range(8, 12), gap))
+    assert [estimate.index for estimate in estimates if estimate.status is status] == [8, 9, 10, 11]
+    assert len({estimate.previous for estimate in estimates[8:13]}) == 1  # the reference is kept,
+    assert statuses(estimates[12:]) == [Status.TRACKED] * 8  # and found again
+    assert np.linalg.norm(flight.errors(estimates[12:])[:, 3:], axis=1).max() < 0.1  # measured 0.035 m
+    assert all(np.trace(b.covariance) > np.trace(a.covariance) for a, b in pairwise(estimates[7:12]))
+    step = estimates[7].prev_T_cur.between(estimates[8].prev_T_cur)
+    moved = compose_covariance(estimates[7].covariance, step, np.zeros((6, 6)))
+    assert np.linalg.eigvalsh(estimates[8].covariance - moved)[0] > 0  # what was uncertain before remains so
+    assert flight.nees(estimates[8:12]).max() < 12.6  # within the 95 % of six degrees of freedom; measured 1.3
+    assert flight.relative_lengths(estimates[8:12]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_first_images_are_missing(flight):
+    estimates = flight.run(dict.fromkeys(range(3)))
+    assert statuses(estimates[:5]) == [Status.SKIPPED] * 3 + [Status.STATIC, Status.TRACKED]
+    assert [estimate.previous for estimate in estimates[:6]] == [0, 0, 0, 0, 3, 3]
+    assert flight.relative_lengths(estimates[4:12]) == pytest.approx(1.0, abs=0.02)  # measured 0.004
+
+
+def test_the_first_images_are_black(flight):
+    estimates = flight.run(dict.fromkeys(range(3), np.zeros_like(flight.frames[0].image)))
+    assert statuses(estimates[:3]) == [Status.STATIC, Status.COASTED, Status.COASTED]
+    assert statuses(estimates[3 + PATIENCE :]) == [Status.TRACKED] * (17 - PATIENCE)
+
+
+def test_no_image_at_all(flight):
+    estimates = flight.run(dict.fromkeys(range(20)))
+    assert statuses(estimates) == [Status.SKIPPED] * 20
+    assert all(estimate.prev_T_cur.equals(gtsam.Pose3(), 0) for estimate in estimates)
+
+
+def test_another_scene_becomes_the_reference(flight):
+    """Upside down from the tenth image on: nothing is found again."""
+    flipped = {i: np.ascontiguousarray(flight.frames[i].image[::-1]) for i in range(10, 20)}
+    estimates = flight.run(flipped)
+    given_up = 10 + PATIENCE - 1
+    assert statuses(estimates[10 : given_up + 1]) == [Status.COASTED] * (PATIENCE - 1) + [Status.REINITIALISED]
+    assert statuses(estimates[given_up + 1 :]) == [Status.TRACKED] * (19 - given_up)
+    assert estimates[given_up].previous == 8
+    assert {estimate.previous for estimate in estimates[given_up + 1 :]}.isdisjoint(range(given_up))
+    # It is where the motion model says, and carries on at the speed that was known.
+    assert length(estimates[given_up].prev_T_cur) == pytest.approx(length(flight.truth(estimates[given_up])), rel=0.05)
+    assert length(estimates[given_up + 1].prev_T_cur) == pytest.approx(1.2, rel=0.1)
+
+
+def test_a_flash_does_not_end_the_reference(flight):
+    """Two images of something else, with plenty of corners, are passed over."""
+    rng = np.random.default_rng(0)
+    else_where = cv2.GaussianBlur(rng.integers(0, 256, (240, 320)).astype(np.uint8), (0, 0), 0.8)
+    assert len(detect(else_where, load_config().features)) > 100
+    estimates = flight.run({10: else_where, 11: else_where})
+    assert statuses(estimates[10:13]) == [Status.COASTED, Status.COASTED, Status.TRACKED]
+    assert np.linalg.norm(flight.errors(estimates[12:])[:, 3:], axis=1).max() < 0.1  # measured 0.022 m
+
+
+def test_random_images_do_not_raise(flight):
+    rng = np.random.default_rng(0)
+    images = {i: rng.integers(0, 256, (240, 320)).astype(np.uint8) for i in range(20)}
+    for estimate in flight.run(images) + flight.run(images, preset="paper"):
+        assert np.isfinite(estimate.covariance).all()
+        assert np.isfinite(estimate.prev_T_cur.matrix()).all()

@@ -1,0 +1,67 @@
+"""Visual odometry on short parts of real recordings; skipped where they are absent."""
+
+from collections import Counter
+
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.config import load_config
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.metrics import Evaluation, evaluate
+from fvslam_graph.pipeline import applicable, estimate
+from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.trajectory import Status, Trajectory
+
+
+def run(path, preset: str = "tuned", frames: str = ":"):
+    """The sequence and the result of each of its frames."""
+    sequence = open_sequence(path, frames=frames)
+    return sequence, list(estimate(sequence, applicable(load_config(preset), sequence)))
+
+
+def compare(sequence, results) -> Evaluation:
+    online = Trajectory(sequence.stamps, tuple(result.pose for result in results))
+    return evaluate(online, sequence.ground_truth, Alignment.SIM3, frames=len(sequence))
+
+
+def rmse(evaluation: Evaluation, name: str) -> float:
+    return evaluation.errors[name].stats["rmse"]
+
+
+@pytest.mark.parametrize("preset", ["tuned", "paper"])
+def test_kitti_odometry(real_data, preset):
+    sequence, results = run(real_data("kitti_odometry") / "sequences" / "03", preset, ":60")
+    evaluation = compare(sequence, results)
+    assert Counter(result.status for result in results) == {Status.STATIC: 1, Status.TRACKED: 59}
+    assert 0.01 < rmse(evaluation, "ape_trans") < 0.4  # metres on 46 m; measured 0.17 and 0.18
+    assert evaluation.scale == pytest.approx(1.0, abs=0.04)  # measured 0.992 and 0.997
+    assert 0.001 < rmse(evaluation, "rpe_rot") < 0.04  # degrees a frame; measured 0.019 and 0.020
+
+
+def test_kitti_raw(real_data):
+    drive = real_data("kitti_raw") / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    sequence, results = run(drive)
+    evaluation = compare(sequence, results)
+    assert evaluation.coverage == 1
+    assert 0.01 < rmse(evaluation, "ape_trans") < 0.2  # measured 0.065
+    assert 0.1 < evaluation.drift.t_rel < 3.0  # % over 100 m; measured 1.8
+    assert evaluation.drift.r_rel < 0.3  # degrees over 100 m; measured 0.05
+
+
+def test_small_uav(real_data):
+    sequence, results = run(real_data("tello/line"), frames="60:160")
+    evaluation = compare(sequence, results)
+    assert {result.status for result in results} == {Status.STATIC, Status.TRACKED}
+    assert evaluation.coverage == 1
+    assert 0.001 < rmse(evaluation, "ape_trans") < 0.04  # metres on 1.5 m; measured 0.015
+    assert rmse(evaluation, "rpe_rot") < 0.3  # degrees a frame; measured 0.13
+
+
+@pytest.mark.parametrize("preset", ["tuned", "paper"])
+def test_a_vehicle_that_stands(real_data, preset):
+    _, results = run(real_data("euroc_static"), preset)
+    assert {result.status for result in results} == {Status.STATIC}
+    assert all(np.all(result.pose.translation() == 0) for result in results)
+    turned = max(np.linalg.norm(gtsam.Rot3.Logmap(result.pose.rotation())) for result in results)
+    assert 0.001 < np.degrees(turned) < 0.2  # measured 0.127 and 0.124
