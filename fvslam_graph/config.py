@@ -36,7 +36,8 @@ class FeatureSettings(_Group):
 class VoSettings(_Group):
     """Relative pose from two views."""
 
-    min_inliers: PositiveInt = Field(15, ge=6)  # fewer, and the motion model carries on
+    min_inliers: PositiveInt = Field(20, ge=6)  # fewer, and the motion model carries on
+    min_inlier_share: float = Field(0.5, ge=0, le=1)  # of the tracks that two views must explain
     ransac_threshold: PositiveFloat = 0.7  # pixels, Sampson distance of an inlier
     ransac_iterations: PositiveInt = 25  # at least
     static_parallax: PositiveFloat = 0.3  # pixels; less, beyond a small rotation, is standing still
@@ -52,7 +53,7 @@ class ScaleSource(StrEnum):
     """Where metres come from."""
 
     PLANE = "plane"  # known distance to the ground plane
-    MAP = "map"  # relative: tracks that two consecutive pairs have in common; the first baseline is 1 m
+    MAP = "map"  # relative: tracks that two consecutive pairs have in common; the first scale is a guess
     ORACLE = "oracle"  # the ground truth
     UNIT = "unit"  # every baseline is 1 m
 
@@ -90,7 +91,7 @@ class Config(_Group):
 # frames, 25 features and more.
 _PAPER: dict[str, Any] = {
     "features": {"association": "ncc", "octave": 0, "threshold": 20},
-    "vo": {"min_inliers": 25, "keyframe_parallax": 0.7},
+    "vo": {"min_inliers": 25, "min_inlier_share": 0.3, "keyframe_parallax": 0.7},
 }
 
 

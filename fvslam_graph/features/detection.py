@@ -56,13 +56,14 @@ def detect(image: Image, settings: FeatureSettings, taken: NDArray[np.float64] |
 
 def _free(shape: tuple[int, ...], taken: NDArray[np.float64], spacing: int) -> NDArray[np.uint8]:
     """A mask (H, W) that is 1 where a new corner may lie."""
-    free = np.zeros(shape, np.uint8)
-    free[BORDER:-BORDER, BORDER:-BORDER] = 1
+    free = np.ones(shape, np.uint8)
     column, row = taken.astype(np.intp).T
     free[row, column] = 0
     side = 2 * spacing + 1
-    eroded: NDArray[np.uint8] = cv2.erode(free, np.ones((side, side), np.uint8), borderValue=1)
-    return eroded
+    free = cv2.erode(free, np.ones((side, side), np.uint8), borderValue=1)
+    inside: NDArray[np.uint8] = np.zeros(shape, np.uint8)
+    inside[BORDER:-BORDER, BORDER:-BORDER] = free[BORDER:-BORDER, BORDER:-BORDER]
+    return inside
 
 
 def _cells(points: NDArray[np.floating], cell: int, columns: int) -> NDArray[np.intp]:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from fvslam_graph.config import VoSettings
 from fvslam_graph.vo.scale import LogScale
 
+UNKNOWN_VELOCITY = (1.0, 10.0)  # rad/s, m/s, standard deviations before anything was measured
+
 
 class ConstantVelocity:
     """Camera motion with white acceleration, in the camera's own frame.
@@ -23,6 +25,7 @@ class ConstantVelocity:
         self.settings = settings
         self.twist = np.zeros(6)  # rad/s, m/s
         self._log_variance = 0.0  # of the scale of the velocity
+        self._known = False  # whether it was ever measured
 
     def distance(self, seconds: float) -> LogScale | None:
         """Length of the path over a time; None where the camera stood."""
@@ -36,15 +39,19 @@ class ConstantVelocity:
         """Take over the velocity of a measured motion, whose scale has a variance."""
         self.twist = gtsam.Pose3.Logmap(last_T_cur) / seconds
         self._log_variance = log_variance
+        self._known = True
 
     def stop(self) -> None:
         """The camera stands still."""
         self.twist = np.zeros(6)
+        self._known = True
 
     def predict(self, seconds: float) -> tuple[gtsam.Pose3, NDArray[np.float64]]:
         """Motion over a time, and its covariance (6, 6), which grows with the fourth power of the time."""
-        spread = 0.5 * seconds**2
-        sigmas = np.repeat([self.settings.max_angular_acceleration, self.settings.max_acceleration], 3) * spread
+        accelerations = np.repeat([self.settings.max_angular_acceleration, self.settings.max_acceleration], 3)
+        sigmas = 0.5 * seconds**2 * accelerations
+        if not self._known:
+            sigmas += seconds * np.repeat(UNKNOWN_VELOCITY, 3)
         return gtsam.Pose3.Expmap(self.twist * seconds), np.diag(sigmas**2)
 
 

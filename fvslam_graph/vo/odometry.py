@@ -93,15 +93,16 @@ class VisualOdometry:
         self._map = MetricMap.empty()  # of the reference
         self._ref_T_last = gtsam.Pose3()  # where the last usable image was taken, its covariance and time
         self._covariance = np.zeros((6, 6))
-        self._last_stamp: float | None = None
+        self._last_stamp = math.nan
+        self._first = 0  # index of the first frame
         self._seen = Tracks.none()  # where the points were when the camera last moved
         self._failures = 0  # usable images in a row that did not fit the reference
 
     def step(self, frame: Frame) -> VoEstimate:
         """Estimate the motion of the next frame; frames come in the order of their stamps."""
         self._stopwatch = Stopwatch()
-        if self._last_stamp is None:
-            self._last_stamp = frame.stamp
+        if math.isnan(self._last_stamp):
+            self._last_stamp, self._first = frame.stamp, frame.index
         if frame.image is None:
             return self._coast(frame, Status.SKIPPED)
         if self._reference is None:
@@ -120,18 +121,7 @@ class VisualOdometry:
             )
             parallax = float(np.median(unexplained))
 
-        # A reference that is about to be given up, or has no map yet, is triangulated at whatever parallax there is.
-        given_up = len(tracks) < self.settings.keyframe_tracks * self._points or not len(self._map)
-        wanted = self.settings.min_parallax if given_up else self.settings.keyframe_parallax
-        motion = None
-        if parallax > wanted:
-            motion = self._move_by_two_views(frame, tracks)
-        if motion is None:
-            motion = self._move_in_map(tracks)
-        if motion is None and self.settings.min_parallax < parallax <= wanted:
-            motion = self._move_by_two_views(frame, tracks)
-        if motion is None and parallax < self.settings.keyframe_parallax:
-            motion = self._turn(tracks, rotation, parallax)
+        motion = self._measure(frame, tracks, rotation, parallax)
         if motion is None:
             return self._lose(frame)
         estimate = replace(self._accept(frame, motion), found=len(tracks), parallax=parallax)
@@ -140,6 +130,20 @@ class VisualOdometry:
         if far or len(motion.tracks) < self.settings.keyframe_tracks * self._points:
             self._make_keyframe(frame, motion)
         return estimate
+
+    def _measure(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
+        """Two views where they tell most, else the map, else what is left; None where nothing fits."""
+        far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
+        # A reference that is about to be given up, or has no map yet, is triangulated while it can be.
+        last_chance = len(tracks) < self.settings.keyframe_tracks * self._points or not len(self._map)
+        two_views_first = far or (some and last_chance)
+        if two_views_first and (motion := self._move_by_two_views(frame, tracks)):
+            return motion
+        if motion := self._move_in_map(tracks):
+            return motion
+        if some and not two_views_first and (motion := self._move_by_two_views(frame, tracks)):
+            return motion
+        return None if far else self._turn(tracks, rotation, parallax)
 
     def _stands_still(self, tracks: Tracks) -> gtsam.Rot3 | None:
         """The small rotation that explains all image motion since the camera last moved; None where it moved."""
@@ -168,7 +172,8 @@ class VisualOdometry:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
         assert self._reference is not None
         with self._stopwatch.stage("pose"):
-            two_view = estimate_two_view(tracks, self.camera, self.settings, self._seed())
+            expected, _ = self._predict(frame)
+            two_view = estimate_two_view(tracks, self.camera, self.settings, self._seed(), expected)
         if two_view is None:
             return None
         with self._stopwatch.stage("scale"):
@@ -229,7 +234,7 @@ class VisualOdometry:
         if len(detect(frame.image, self._features)) < self.settings.min_inliers:
             return self._coast(frame, Status.COASTED)
         self._failures += 1
-        if self._failures < PATIENCE:
+        if self._failures < PATIENCE and self._points >= self.settings.min_inliers:
             return self._coast(frame, Status.COASTED)
         return self._refer_after(self._coast(frame, Status.REINITIALISED), frame)
 
@@ -241,10 +246,12 @@ class VisualOdometry:
 
     def _coast(self, frame: Frame, status: Status) -> VoEstimate:
         """The motion model carries on from the last usable image."""
-        assert self._last_stamp is not None
+        return self._estimate(frame, *self._predict(frame), status)
+
+    def _predict(self, frame: Frame) -> tuple[gtsam.Pose3, NDArray[np.float64]]:
+        """ref_T_cur and its covariance as the motion model has them."""
         step, spread = self._motion_model.predict(frame.stamp - self._last_stamp)
-        covariance = compose_covariance(self._covariance, step, spread)
-        return self._estimate(frame, self._ref_T_last.compose(step), covariance, status)
+        return self._ref_T_last.compose(step), compose_covariance(self._covariance, step, spread)
 
     def _refer_to(self, frame: Frame, kept: Tracks, known: MetricMap) -> None:
         assert frame.image is not None
@@ -272,5 +279,5 @@ class VisualOdometry:
     def _estimate(
         self, frame: Frame, ref_T_cur: gtsam.Pose3, covariance: NDArray[np.float64], status: Status
     ) -> VoEstimate:
-        reference = 0 if self._reference is None else self._reference.index
+        reference = self._first if self._reference is None else self._reference.index
         return VoEstimate(frame.index, reference, ref_T_cur, covariance, status, times=self._stopwatch.times)

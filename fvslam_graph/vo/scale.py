@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.config import ScaleSettings, ScaleSource
+from fvslam_graph.errors import ConfigError
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.vo.depth import InverseDepths
 from fvslam_graph.vo.ground import GroundAligner
@@ -71,6 +72,9 @@ class MetricScale:
         settings: Which source, and its uncertainty.
         aligner: Measures the ground plane; needed by the source `plane`.
         true_baseline: Distance in metres between two frames by index; needed by the source `oracle`.
+
+    Raises:
+        ConfigError: The source is `oracle` and there are no true baselines.
     """
 
     def __init__(
@@ -79,6 +83,8 @@ class MetricScale:
         aligner: GroundAligner | None,
         true_baseline: Callable[[int, int], float] | None,
     ) -> None:
+        if settings.source is ScaleSource.ORACLE and true_baseline is None:
+            raise ConfigError("the scale source 'oracle' needs the true baselines")
         self.settings = settings
         self._aligner = aligner
         self._true_baseline = true_baseline
@@ -115,7 +121,8 @@ class MetricScale:
         predicted = fallback if ratio is None else LogScale(ratio.mean, ratio.variance + known.variance)
         if self.settings.source is ScaleSource.UNIT:
             scale = LogScale(0.0, 1.0)
-        elif self._true_baseline is not None:
+        elif self.settings.source is ScaleSource.ORACLE:
+            assert self._true_baseline is not None
             baseline = self._true_baseline(previous.index, current.index)
             scale = LogScale(math.log(baseline), ORACLE_VARIANCE) if baseline > 0 else predicted
         else:

@@ -13,6 +13,7 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.config import VoSettings
 from fvslam_graph.features.tracks import Tracks
 
+ALIKE = 1.1  # costs within this factor do not tell two solutions apart
 LOSS_SCALE = 0.3  # pixels; residuals well above the tracking noise lose weight (Cauchy)
 
 Rays = NDArray[np.float64]
@@ -42,8 +43,13 @@ def rays(camera: Camera, pixels: NDArray[np.float64]) -> Rays:
     return np.column_stack([normalized, np.ones(len(normalized))])
 
 
-def estimate_two_view(tracks: Tracks, camera: Camera, settings: VoSettings, seed: int) -> TwoView | None:
+def estimate_two_view(
+    tracks: Tracks, camera: Camera, settings: VoSettings, seed: int, expected: gtsam.Pose3 | None = None
+) -> TwoView | None:
     """Five-point RANSAC with local optimisation (PoseLib), refined on all inliers; None without a solution.
+
+    Points on a plane have two solutions that explain them alike. So the expected motion prev_T_cur is refined as well,
+    and taken where it explains the inliers as well as the best one.
 
     Source: Nister 2004 (five points); Larsson et al., PoseLib (LO-RANSAC); covariance of an M-estimator after Huber,
     Robust Statistics, section 6.3.
@@ -60,15 +66,38 @@ def estimate_two_view(tracks: Tracks, camera: Camera, settings: VoSettings, seed
     bundle = {"loss_type": "CAUCHY", "loss_scale": LOSS_SCALE}
     pose, info = poselib.estimate_relative_pose(tracks.reference, tracks.current, model, model, ransac, bundle)
     inliers = np.array(info["inliers"], bool)
-    if inliers.sum() < settings.min_inliers:
+    if inliers.sum() < max(settings.min_inliers, settings.min_inlier_share * len(tracks)):
         return None
-    rotation = gtsam.Rot3(pose.R.T)
-    direction = -pose.R.T @ pose.t
+    agreeing = tracks[inliers]
+    previous, current = rays(camera, agreeing.reference), rays(camera, agreeing.current)
+    solution = _fit(pose, previous, current, camera)
+    if expected is not None and np.linalg.norm(expected.translation()) > 0:
+        start = poselib.CameraPose()
+        start.R, start.t = expected.rotation().matrix().T, expected.inverse().translation()
+        pose, _ = poselib.refine_relative_pose(agreeing.reference, agreeing.current, start, model, model, bundle)
+        alternative = _fit(pose, previous, current, camera)
+        if alternative.cost < ALIKE * solution.cost:
+            solution = alternative
+    covariance = m_estimator_covariance(solution.distance, solution.jacobian, LOSS_SCALE)
+    return None if covariance is None else TwoView(solution.rotation, solution.direction, covariance, inliers)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A relative pose and how well it explains the inliers: Sampson distances, their Jacobian and Cauchy cost."""
+
+    rotation: gtsam.Rot3
+    direction: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+    cost: float
+
+
+def _fit(pose: poselib.CameraPose, previous: Rays, current: Rays, camera: Camera) -> _Fit:
+    rotation, direction = gtsam.Rot3(pose.R.T), -pose.R.T @ pose.t
     direction /= np.linalg.norm(direction)
-    covariance = _covariance(
-        rays(camera, tracks.reference[inliers]), rays(camera, tracks.current[inliers]), rotation, direction, camera.fx
-    )
-    return None if covariance is None else TwoView(rotation, direction, covariance, inliers)
+    distance, jacobian = sampson(previous, current, rotation, direction, camera.fx)
+    return _Fit(rotation, direction, distance, jacobian, float(np.log1p((distance / LOSS_SCALE) ** 2).sum()))
 
 
 def poselib_camera(camera: Camera) -> dict[str, object]:
@@ -88,18 +117,12 @@ def sampson(
     rotated = current @ rotation.matrix().T
     line_previous = np.cross(direction, rotated)  # E x_cur
     line_current = np.cross(previous, direction) @ rotation.matrix()  # E^T x_prev
-    weight = focal / np.sqrt((line_previous[:, :2] ** 2).sum(axis=1) + (line_current[:, :2] ** 2).sum(axis=1))
+    steepness = (line_previous[:, :2] ** 2).sum(axis=1) + (line_current[:, :2] ** 2).sum(axis=1)
+    weight = focal / np.sqrt(np.maximum(steepness, 1e-12))  # both points on an epipole have no epipolar line
     distance = weight * (previous * line_previous).sum(axis=1)
     by_rotation = np.cross(current, line_current)
     by_direction = np.cross(rotated, previous) @ gtsam.Unit3(direction).basis()
     return distance, weight[:, None] * np.hstack([by_rotation, by_direction])
-
-
-def _covariance(
-    previous: Rays, current: Rays, rotation: gtsam.Rot3, direction: NDArray[np.float64], focal: float
-) -> NDArray[np.float64] | None:
-    distance, jacobian = sampson(previous, current, rotation, direction, focal)
-    return m_estimator_covariance(distance, jacobian, LOSS_SCALE)
 
 
 def m_estimator_covariance(
@@ -118,9 +141,10 @@ def m_estimator_covariance(
     count, parameters = jacobian.shape
     square = (residual / loss_scale) ** 2
     influence = residual / (1 + square)
-    curvature = np.maximum((1 - square) / (1 + square) ** 2, 0)  # an outlier adds no information, nor takes any
+    curvature = (1 - square) / (1 + square) ** 2
     bread = jacobian.T @ (curvature[:, None] * jacobian)
-    if count <= parameters or np.linalg.matrix_rank(bread, hermitian=True) < parameters:
+    values = np.linalg.eigvalsh(bread)
+    if count <= parameters or not values[0] > 1e-12 * values[-1]:
         return None
     inverse = np.linalg.inv(bread)
     meat = jacobian.T @ (influence[:, None] ** 2 * jacobian) * (count / (count - parameters))
