@@ -61,7 +61,7 @@ class ScaleSource(StrEnum):
 class GroundSettings(_Group):
     """The ground plane as a scale source."""
 
-    patches: PositiveInt = 400  # aligned per pair of images
+    patches: PositiveInt = 300  # aligned per pair of images
     min_patches: PositiveInt = 40  # fewer, and the ground was not seen
     reach: PositiveFloat = 15.0  # heights; how far away ground is used
     half_width: PositiveFloat = 4.0  # heights; how far to either side
