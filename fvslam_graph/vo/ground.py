@@ -24,6 +24,7 @@ _WINDOW = (21, 11)  # pixels; wide and low, as the texture of a road seen from a
 _SEARCH = 8.0  # pixels that the ground may lie off its prediction
 _HYPOTHESES = 60
 MIN_TRACKS = 10  # on the ground, for a first guess
+_RATIOS = np.geomspace(0.05, 4.0, 16)  # baseline over height: what is tried where nothing is expected
 
 
 @dataclass(frozen=True)
@@ -78,20 +79,31 @@ class GroundAligner:
             two_view: Their relative pose.
             ray: (N, 3) of tracks in the previous image; where nothing is expected, they give the first guess.
             depths: (N,) of these tracks, in baselines.
-            expected: Baseline per height, dimensionless; only steers the search.
+            expected: Baseline per height, dimensionless; only steers the search. Without it, and where the tracks are
+                too few, a range of them is tried and the ground with most patches is taken.
             rng: For the hypotheses.
         """
         if expected is not None:
-            guess = expected * self.normal
-        else:
-            seen = self._sees_ground(ray)
-            if seen.sum() < MIN_TRACKS:
-                return None
+            return self._measure_near(previous, current, two_view, expected * self.normal, rng)
+        seen = self._sees_ground(ray)
+        if seen.sum() >= MIN_TRACKS:
             guess = self._hypothesise(ray[seen], depths[seen], rng)
-        patches = self._align(previous, current, two_view, guess)
-        if patches is None:
-            return None
-        return self._refine(*patches, self._hypothesise(*patches, rng))
+            if ground := self._measure_near(previous, current, two_view, guess, rng):
+                return ground
+        tried = [self._measure_near(previous, current, two_view, ratio * self.normal, rng) for ratio in _RATIOS]
+        return max(filter(None, tried), key=lambda ground: ground.patches, default=None)
+
+    def _measure_near(
+        self,
+        previous: Image,
+        current: Image,
+        two_view: TwoView,
+        plane: NDArray[np.float64],
+        rng: np.random.Generator,
+    ) -> GroundPlane | None:
+        """The ground, if it is near enough to `plane` for its patches to be found."""
+        patches = self._align(previous, current, two_view, plane)
+        return None if patches is None else self._refine(*patches, self._hypothesise(*patches, rng))
 
     def _sees_ground(self, ray: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which rays (N, 3) meet the nominal ground within reach and not too far aside."""
