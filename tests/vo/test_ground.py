@@ -77,6 +77,15 @@ def log_error(view: View, plane: GroundPlane) -> float:
 
 
 @VIEWS
+def test_without_any_expectation_a_range_of_scales_is_tried(plane_views, view):
+    images = plane_views(view.camera, view.motion, (view.nominal, view.height), 0)
+    nothing = np.empty((0, 3)), InverseDepths.none()
+    ground = view.aligner().measure(*images, view.two_view, *nothing, None, np.random.default_rng(0))
+    assert abs(log_error(view, ground)) < 0.01
+    assert ground.patches > 200
+
+
+@VIEWS
 @pytest.mark.parametrize("off", [0.9, 1.1, None])
 def test_scale_of_a_plane(plane_views, view, off):
     for seed in range(3):
