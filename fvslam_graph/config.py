@@ -22,7 +22,7 @@ class FeatureSettings(_Group):
     """Corners and their association."""
 
     association: Literal["ncc", "klt"] = "klt"
-    count: PositiveInt = Field(400, ge=8)  # corners per image, spread over a grid
+    count: PositiveInt = Field(360, ge=8)  # corners per image, spread over a grid
     octave: int = Field(1, ge=0, le=3)  # corners are detected in the image halved so many times: less noise, less time
     threshold: PositiveInt = Field(7, le=255)  # FAST: grey levels between a corner and its surround
     spacing: int = Field(8, ge=0)  # pixels between new corners and those that exist

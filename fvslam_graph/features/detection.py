@@ -34,12 +34,13 @@ def detect(image: Image, settings: FeatureSettings, taken: NDArray[np.float64] |
     keypoints = cv2.FastFeatureDetector_create(settings.threshold, True).detect(small)
     if not keypoints:
         return np.empty((0, 2), np.float32)
-    corners = (cv2.KeyPoint_convert(keypoints) + np.float32(0.5)) * factor - np.float32(0.5)
-    strength = np.fromiter(map(attrgetter("response"), keypoints), float, len(keypoints))
     taken = np.empty((0, 2)) if taken is None else taken
+    corners = cv2.KeyPoint_convert(keypoints)
+    strength = np.fromiter(map(attrgetter("response"), keypoints), float, len(keypoints))
     column, row = corners.astype(np.intp).T
-    kept = _free(image.shape, taken, settings.spacing)[row, column] > 0
-    corners, strength = corners[kept], strength[kept]
+    kept = _free(small.shape, taken / factor, BORDER // factor, settings.spacing // factor)[row, column] > 0
+    corners = (corners[kept] + np.float32(0.5)) * factor - np.float32(0.5)
+    strength = strength[kept]
 
     cell = math.ceil(math.sqrt(width * height * PER_CELL / settings.count))
     columns = -(-width // cell)
@@ -54,15 +55,15 @@ def detect(image: Image, settings: FeatureSettings, taken: NDArray[np.float64] |
     return best
 
 
-def _free(shape: tuple[int, ...], taken: NDArray[np.float64], spacing: int) -> NDArray[np.uint8]:
-    """A mask (H, W) that is 1 where a new corner may lie."""
+def _free(shape: tuple[int, ...], taken: NDArray[np.float64], border: int, spacing: int) -> NDArray[np.uint8]:
+    """A mask (H, W) that is 1 where a new corner may lie: off the border and `spacing` pixels from all taken ones."""
     free = np.ones(shape, np.uint8)
-    column, row = taken.astype(np.intp).T
+    column, row = np.minimum(taken.astype(np.intp), (shape[1] - 1, shape[0] - 1)).T
     free[row, column] = 0
     side = 2 * spacing + 1
     free = cv2.erode(free, np.ones((side, side), np.uint8), borderValue=1)
     inside: NDArray[np.uint8] = np.zeros(shape, np.uint8)
-    inside[BORDER:-BORDER, BORDER:-BORDER] = free[BORDER:-BORDER, BORDER:-BORDER]
+    inside[border:-border, border:-border] = free[border:-border, border:-border]
     return inside
 
 

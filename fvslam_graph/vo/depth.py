@@ -98,7 +98,7 @@ def triangulate(
         focal: Pixels.
     """
     rotated = current @ rotation.matrix().T
-    across = np.cross(rotated, baseline)
+    across = rotated @ gtsam.SO3.Hat(baseline)  # rotated x baseline
     values = (across * np.cross(rotated, previous)).sum(axis=1) / np.maximum((across**2).sum(axis=1), 1e-18)
     # How fast the image of the point moves along its epipolar line when rho changes.
     seen = previous - values[:, None] * baseline

@@ -20,7 +20,7 @@ from fvslam_graph.vo.depth import InverseDepths, triangulate
 from fvslam_graph.vo.two_view import TwoView, rays, sampson
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
-_WINDOW = (21, 11)  # pixels; wide and low, as the texture of a road seen from a car
+_WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car
 _SEARCH = 8.0  # pixels that the ground may lie off its prediction
 _HYPOTHESES = 60
 MIN_TRACKS = 10  # on the ground, for a first guess

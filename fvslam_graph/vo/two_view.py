@@ -13,6 +13,7 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.config import VoSettings
 from fvslam_graph.features.tracks import Tracks
 
+SURPRISE = 0.01  # rad between expected and found rotation
 ALIKE = 1.1  # costs within this factor do not tell two solutions apart
 LOSS_SCALE = 0.3  # pixels; residuals well above the tracking noise lose weight (Cauchy)
 
@@ -71,7 +72,7 @@ def estimate_two_view(
     agreeing = tracks[inliers]
     previous, current = rays(camera, agreeing.reference), rays(camera, agreeing.current)
     solution = _fit(pose, previous, current, camera)
-    if expected is not None and np.linalg.norm(expected.translation()) > 0:
+    if expected is not None and _disagree(solution, expected):
         start = poselib.CameraPose()
         start.R, start.t = expected.rotation().matrix().T, expected.inverse().translation()
         pose, _ = poselib.refine_relative_pose(agreeing.reference, agreeing.current, start, model, model, bundle)
@@ -80,6 +81,13 @@ def estimate_two_view(
             solution = alternative
     covariance = m_estimator_covariance(solution.distance, solution.jacobian, LOSS_SCALE)
     return None if covariance is None else TwoView(solution.rotation, solution.direction, covariance, inliers)
+
+
+def _disagree(solution: _Fit, expected: gtsam.Pose3) -> bool:
+    """Whether the solution turned otherwise than expected, as the second solution of a plane does."""
+    moving = np.linalg.norm(expected.translation()) > 0
+    turned = gtsam.Rot3.Logmap(expected.rotation().between(solution.rotation))
+    return bool(moving and np.linalg.norm(turned) > SURPRISE)
 
 
 @dataclass(frozen=True)
@@ -115,8 +123,9 @@ def sampson(
     Source: Hartley and Zisserman, Multiple View Geometry, eq. 11.9.
     """
     rotated = current @ rotation.matrix().T
-    line_previous = np.cross(direction, rotated)  # E x_cur
-    line_current = np.cross(previous, direction) @ rotation.matrix()  # E^T x_prev
+    essential = gtsam.SO3.Hat(direction) @ rotation.matrix()
+    line_previous = current @ essential.T  # E x_cur
+    line_current = previous @ essential  # E^T x_prev
     steepness = (line_previous[:, :2] ** 2).sum(axis=1) + (line_current[:, :2] ** 2).sum(axis=1)
     weight = focal / np.sqrt(np.maximum(steepness, 1e-12))  # both points on an epipole have no epipolar line
     distance = weight * (previous * line_previous).sum(axis=1)
