@@ -89,6 +89,12 @@ class Camera:
         normalized = undistort(pixels[:, None], self.K, np.array(self.coefficients), criteria=_CONVERGED)
         return np.asarray(normalized, float).reshape(-1, 2)
 
+    def contains(self, pixels: NDArray[np.float64], border: float = 0.0) -> NDArray[np.bool_]:
+        """Which pixels (N, 2) lie in the image, `border` pixels off its rim; NaN does not."""
+        low, high = border, (self.width - 1 - border, self.height - 1 - border)
+        inside: NDArray[np.bool_] = np.all((pixels >= low) & (pixels <= high), axis=1)
+        return inside
+
     def scaled(self, factor: float) -> Camera:
         """The camera of the same images, resized by `factor` (> 0) to whole pixels, with pixel areas averaged."""
         width, height = round(self.width * factor), round(self.height * factor)

@@ -51,7 +51,10 @@ Align = Annotated[str, typer.Option(help="none, origin, se3 or sim3.")]
 @app.command()
 def run(
     path: SequencePath,
-    out: Annotated[Path | None, typer.Option(help="Folder of the run; runs/<sequence>-<preset> if not given.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run; runs/<sequence>-<mode>-<preset> if not given.")
+    ] = None,
+    mode: Annotated[str, typer.Option(help="vo or vslam.")] = "vo",
     preset: Annotated[str, typer.Option(help="paper or tuned.")] = "tuned",
     config: Annotated[Path | None, typer.Option(help="YAML file with settings that differ from the preset.")] = None,
     settings: Annotated[
@@ -64,11 +67,11 @@ def run(
     camera_height: CameraHeight = None,
     camera_pitch: CameraPitch = None,
 ) -> None:
-    """Run visual odometry on a sequence and keep the result in a folder."""
+    """Run an estimator on a sequence and keep the result in a folder."""
     from fvslam_graph.config import load_config
     from fvslam_graph.sequences.opening import open_sequence
 
-    single = [*(settings or []), *([] if seed is None else [f"seed={seed}"])]
+    single = [f"mode={mode}", *(settings or []), *([] if seed is None else [f"seed={seed}"])]
     chosen = load_config(preset, config, single)
     sequence = open_sequence(
         path,
@@ -78,7 +81,7 @@ def run(
         camera_height=camera_height,
         camera_pitch=camera_pitch,
     )
-    folder = out or Path("runs") / re.sub(r"[^\w.-]+", "-", f"{sequence.name}-{chosen.preset}")
+    folder = out or Path("runs") / re.sub(r"[^\w.-]+", "-", f"{sequence.name}-{chosen.mode}-{chosen.preset}")
     _run(sequence, chosen, folder)
     typer.echo(f"next: fvslam evaluate {folder}; fvslam plot {folder}")
 

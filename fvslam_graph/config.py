@@ -77,14 +77,50 @@ class ScaleSettings(_Group):
     ground: GroundSettings = GroundSettings()
 
 
+class Mode(StrEnum):
+    """What estimates the poses."""
+
+    VO = "vo"  # visual odometry alone
+    VSLAM = "vslam"  # EKF visual SLAM alone; visual odometry only starts it
+
+
+class SlamSettings(_Group):
+    """EKF visual SLAM."""
+
+    interleave: PositiveInt | None = None  # every how many frames; by itself 1 in mode vslam, else the paper's 5
+    min_landmarks: PositiveInt = Field(25, ge=8, le=1000)  # measured in every frame, where the image has as many
+    min_matches: PositiveInt = 8  # fewer that agree, and the motion model carries on
+    motion: Literal["constant_velocity", "odometry"] = "constant_velocity"  # what predicts the next frame
+    linear_noise: PositiveFloat = 1.0  # m/s^1.5, root of the spectral density that drives the velocity
+    angular_noise: PositiveFloat = 0.3  # rad/s^1.5, likewise
+    pixel_sigma: PositiveFloat = 0.5  # pixels, of a matched landmark along each axis
+    ransac_threshold: PositiveFloat = 2.0  # pixels between a match and what one other match predicts
+    depth_spread: PositiveFloat = 0.5  # standard deviation of log distance of a landmark against those around it
+    unknown_distance: PositiveFloat = 10.0  # metres, of landmarks where the map is lost at once
+    ncc_threshold: float = Field(0.8, ge=0, le=1)  # least correlation of a match
+    search_radius: PositiveInt = 40  # pixels at most along each axis, however large an ellipse is
+
+
 class Config(_Group):
     """Everything that a run depends on, apart from the sequence."""
 
     preset: Literal["paper", "tuned"] = "tuned"  # which one the settings started from
+    mode: Mode = Mode.VO
     seed: int = Field(0, ge=0)
     features: FeatureSettings = FeatureSettings()
     vo: VoSettings = VoSettings()
     scale: ScaleSettings = ScaleSettings()
+    slam: SlamSettings = SlamSettings()
+
+    @property
+    def interleave(self) -> int:
+        """Every how many frames visual SLAM runs."""
+        return self.slam.interleave or (1 if self.mode is Mode.VSLAM else 5)
+
+    @property
+    def needs_odometry(self) -> bool:
+        """Whether visual odometry runs on every frame, and not only until visual SLAM has started."""
+        return self.mode is not Mode.VSLAM or self.slam.motion == "odometry" or self.interleave > 1
 
 
 # The defaults above are `tuned`. `paper` is what the paper says: FAST corners matched as patterns between consecutive

@@ -6,46 +6,77 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import gtsam
 import numpy as np
 
-from fvslam_graph.config import Config, ScaleSource
+from fvslam_graph.config import Config, Mode, ScaleSource
 from fvslam_graph.errors import ConfigError
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.results import FrameResult
 from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.slam.estimate import Outcome, SlamEstimate
+from fvslam_graph.slam.patch_finder import PatchFinder
+from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.vo.estimate import VoEstimate
 from fvslam_graph.vo.odometry import VisualOdometry
 
-STAGES = ("read", "association", "pose", "scale", "detection")
+VO_STAGES = ("association", "pose", "scale", "detection")
+SLAM_STAGES = ("filter", "search", "map")
+
+
+def stages(config: Config) -> tuple[str, ...]:
+    """What a frame's time is made up of."""
+    return ("read", *VO_STAGES, *(() if config.mode is Mode.VO else SLAM_STAGES))
 
 
 def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
-    """Run visual odometry over a sequence: one result a frame, in order, as soon as it is known.
+    """Run the configured mode over a sequence: one result a frame, in order, as soon as it is known.
 
     Raises:
         ConfigError: The scale source needs what the sequence does not have.
     """
     vo = VisualOdometry(sequence.camera, config, sequence.ground, _true_baseline(sequence, config))
-    poses: list[gtsam.Pose3] = []
+    finder = PatchFinder(sequence.camera, config.features, config.slam)
+    vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
+    chain = OdometryChain()  # the motion since P_f
+    reference = GaussianPose.identity()  # P_f
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
         with stopwatch.stage("read"):
             frame = sequence.frame(index)
-        odometry = vo.step(frame)
-        start = poses[odometry.previous] if odometry.previous < index else gtsam.Pose3()  # the first usable image
-        poses.append(start.compose(odometry.prev_T_cur))
-        times = dict.fromkeys(STAGES, 0.0) | stopwatch.times | odometry.times
+
+        odometry, slam = None, None
+        if config.needs_odometry or not vslam.started:
+            odometry = vo.step(frame)  # O_f
+            chain.add(index, odometry.previous, odometry.prev_T_cur)
+        if config.mode is not Mode.VO:
+            if odometry is not None and not vslam.started:
+                seconds = frame.stamp - float(sequence.stamps[odometry.previous])
+                if seconds > 0 and len(odometry.points) >= config.slam.min_landmarks:
+                    pose = reference.compose(chain.motion)
+                    slam = vslam.start(frame, pose, odometry.prev_T_cur, seconds, odometry.points)
+            elif index - vslam.index >= config.interleave:
+                slam = vslam.step(frame, chain.motion if config.slam.motion == "odometry" else None)  # S_f
+        if slam is not None:
+            reference = slam.pose
+            chain.anchor()
+
+        times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
+        for part in filter(None, (odometry, slam)):
+            times |= part.times
+        latest = slam or odometry
+        assert latest is not None
         yield FrameResult(
             index=index,
             stamp=frame.stamp,
-            pose=poses[-1],
-            status=odometry.status,
-            previous=odometry.previous,
-            relative=odometry.prev_T_cur,
-            covariance=odometry.covariance,
-            measures=_measures(odometry),
+            pose=reference.compose(chain.motion),
+            status=latest.status,
+            previous=latest.previous,
+            relative=latest.prev_T_cur,
+            measures=_measures(config, odometry, slam),
             times=times,
+            landmarks=None if slam is None else slam.landmarks,
         )
 
 
@@ -68,7 +99,7 @@ def applicable(config: Config, sequence: Sequence) -> Config:
 def facts(sequence: Sequence, config: Config) -> dict[str, Any]:
     """What a run folder says about its sequence and mode."""
     return {
-        "mode": "vo",
+        "mode": config.mode.value,
         "sequence": sequence.name,
         "format": sequence.format,
         "frames": len(sequence),
@@ -94,12 +125,23 @@ def _true_baseline(sequence: Sequence, config: Config) -> Callable[[int, int], f
     return distance
 
 
-def _measures(odometry: VoEstimate) -> dict[str, float]:
-    scale = odometry.scale
-    return {
-        "tracks": odometry.found,
-        "inliers": len(odometry.tracks),
-        "scale": math.nan if scale is None else scale.metres,
-        "scale_sigma": math.nan if scale is None else scale.metres * math.sqrt(scale.variance),
-        "parallax_px": odometry.parallax,
+def _measures(config: Config, odometry: VoEstimate | None, slam: SlamEstimate | None) -> dict[str, float]:
+    """Columns of frames.csv; NaN for a block that did not run on this frame."""
+    scale = odometry and odometry.scale
+    measures = {
+        "tracks": math.nan if odometry is None else odometry.found,
+        "inliers": math.nan if odometry is None else len(odometry.tracks),
+        "scale": scale.metres if scale else math.nan,
+        "scale_sigma": scale.metres * math.sqrt(scale.variance) if scale else math.nan,
+        "parallax_px": math.nan if odometry is None else odometry.parallax,
+    }
+    if config.mode is Mode.VO:
+        return measures
+    outcomes = np.bincount(slam.landmarks.outcome, minlength=len(Outcome)) if slam else np.full(len(Outcome), math.nan)
+    searched = outcomes[[Outcome.UNMATCHED, Outcome.REJECTED, Outcome.INLIER, Outcome.RESCUED]].sum()
+    return measures | {
+        "landmarks": float(searched),
+        "matched": float(searched - outcomes[Outcome.UNMATCHED]),
+        "measured": float(outcomes[Outcome.INLIER] + outcomes[Outcome.RESCUED]),
+        "map_scale_sigma": slam.scale_sigma if slam else math.nan,
     }

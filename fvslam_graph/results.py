@@ -16,15 +16,16 @@ from types import TracebackType
 from typing import Any, TypeVar
 from zipfile import BadZipFile
 
-import gtsam
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from fvslam_graph.errors import ResultsError
+from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.files import replacing, write_json, writing
 from fvslam_graph.provenance import peak_memory_mb, provenance
+from fvslam_graph.slam.estimate import Landmarks
 from fvslam_graph.trajectory import Status, Trajectory, kitti_line, tum_line
 
 ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
@@ -52,20 +53,20 @@ class FrameResult:
         status: How the pose came about.
         previous: Index of the frame that `relative` starts from; `index` itself for the first frame.
         relative: prev_T_cur.
-        covariance: (6, 6) of `relative` in its tangent (rotation, translation; rad, m); NaN where there is none.
         measures: Columns of frames.csv, such as tracks, inliers, scale (m per unit baseline), scale_sigma.
         times: Milliseconds by stage. Measures and stages have the same names in every frame of a run.
+        landmarks: Of the map, where visual SLAM ran on this frame.
     """
 
     index: int
     stamp: float
-    pose: gtsam.Pose3
+    pose: GaussianPose
     status: Status
     previous: int
-    relative: gtsam.Pose3
-    covariance: NDArray[np.float64]
+    relative: GaussianPose
     measures: Mapping[str, float]
     times: Mapping[str, float]
+    landmarks: Landmarks | None = None
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ class RunWriter:
         row |= {name: f"{value:.9g}" for name, value in result.measures.items()}
         row |= {f"{stage}_ms": f"{value:.3f}" for stage, value in result.times.items()}
         with writing(self.folder):
-            self._trajectory.write(tum_line(result.stamp, result.pose))
+            self._trajectory.write(tum_line(result.stamp, result.pose.mean))
             self._trajectory.flush()
             if not self._results:
                 self._table = csv.DictWriter(self._frames, fieldnames=list(row), lineterminator="\n")
@@ -183,13 +184,14 @@ class RunWriter:
             self._trajectory.close()
             self._frames.close()
             with replacing(self.folder / ONLINE_KITTI) as path:
-                path.write_text("".join(kitti_line(result.pose) for result in self._results))
+                path.write_text("".join(kitti_line(result.pose.mean) for result in self._results))
             with replacing(self.folder / COVARIANCES) as path:
                 np.savez_compressed(
                     path,
                     previous=np.array([result.previous for result in self._results], dtype=np.int64),
-                    prev_T_cur=np.array([result.relative.matrix() for result in self._results]).reshape(-1, 4, 4),
-                    covariances=np.array([result.covariance for result in self._results]).reshape(-1, 6, 6),
+                    prev_T_cur=np.array([r.relative.mean.matrix() for r in self._results]).reshape(-1, 4, 4),
+                    covariances=np.array([r.relative.covariance for r in self._results]).reshape(-1, 6, 6),
+                    pose_covariances=np.array([r.pose.covariance for r in self._results]).reshape(-1, 6, 6),
                 )
             self._write_info(status)
 

@@ -9,9 +9,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.trajectory import Status
-from fvslam_graph.vo.scale import LogScale
+from fvslam_graph.vo.scale import LogScale, MetricMap
 from fvslam_graph.vo.two_view import TwoView
 
 
@@ -22,32 +24,45 @@ class VoEstimate:
     Attributes:
         index: Of the frame.
         previous: Index of the frame that the motion starts from: the reference (keyframe) at that time.
-        prev_T_cur: Pose of this frame in that one, metres.
-        covariance: (6, 6) in the tangent of prev_T_cur: rotation, then translation.
+        prev_T_cur: Pose of this frame in that one.
         status: How it came about.
         found: How many points of the reference were found in this frame.
         tracks: Those that agree with the motion.
         scale: Of the baseline between the two; None where none was estimated.
+        map: What is known of the depths of these tracks in this frame.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         times: Milliseconds by stage.
     """
 
     index: int
     previous: int
-    prev_T_cur: gtsam.Pose3
-    covariance: NDArray[np.float64]
+    prev_T_cur: GaussianPose
     status: Status
     found: int = 0
     tracks: Tracks = field(default_factory=Tracks.none)
     scale: LogScale | None = None
+    map: MetricMap = field(default_factory=MetricMap.empty)
     parallax: float = math.nan
     times: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def points(self) -> KnownPoints:
+        """The tracks of known depth, where they are in this frame."""
+        depths = self.map.depths
+        mine, theirs = depths.common(self.tracks.ids)
+        return KnownPoints(
+            depths.ids[mine],
+            self.tracks.current[theirs],
+            depths.values[mine],
+            depths.sigmas[mine],
+            self.map.variance,
+        )
 
-def metric_pose(two_view: TwoView, scale: LogScale) -> tuple[gtsam.Pose3, NDArray[np.float64]]:
-    """The pose prev_T_cur of two views with a scale, and its covariance (6, 6).
 
-    The covariance holds what two views tell, and the scale along the baseline.
+def metric_pose(two_view: TwoView, scale: LogScale) -> GaussianPose:
+    """The pose prev_T_cur of two views with a scale.
+
+    Its covariance holds what two views tell, and the scale along the baseline.
     """
     cur_R_prev = two_view.rotation.matrix().T
     jacobian = np.zeros((6, 6))
@@ -58,4 +73,5 @@ def metric_pose(two_view: TwoView, scale: LogScale) -> tuple[gtsam.Pose3, NDArra
     measured[:5, :5] = two_view.covariance
     measured[5, 5] = scale.variance
     covariance: NDArray[np.float64] = jacobian @ measured @ jacobian.T
-    return gtsam.Pose3(two_view.rotation, scale.metres * two_view.direction), (covariance + covariance.T) / 2
+    prev_T_cur = gtsam.Pose3(two_view.rotation, scale.metres * two_view.direction)
+    return GaussianPose(prev_T_cur, (covariance + covariance.T) / 2)

@@ -6,9 +6,9 @@ import math
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from fvslam_graph.config import VoSettings
+from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.vo.scale import LogScale
 
 UNKNOWN_VELOCITY = (1.0, 10.0)  # rad/s, m/s, standard deviations before anything was measured
@@ -46,19 +46,10 @@ class ConstantVelocity:
         self.twist = np.zeros(6)
         self._known = True
 
-    def predict(self, seconds: float) -> tuple[gtsam.Pose3, NDArray[np.float64]]:
-        """Motion over a time, and its covariance (6, 6), which grows with the fourth power of the time."""
+    def predict(self, seconds: float) -> GaussianPose:
+        """Motion over a time; its covariance grows with the fourth power of the time."""
         accelerations = np.repeat([self.settings.max_angular_acceleration, self.settings.max_acceleration], 3)
         sigmas = 0.5 * seconds**2 * accelerations
         if not self._known:
             sigmas += seconds * np.repeat(UNKNOWN_VELOCITY, 3)
-        return gtsam.Pose3.Expmap(self.twist * seconds), np.diag(sigmas**2)
-
-
-def compose_covariance(
-    covariance: NDArray[np.float64], step: gtsam.Pose3, step_covariance: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Covariance of a_T_c = a_T_b b_T_c from those of a_T_b and of the independent step b_T_c, each (6, 6)."""
-    adjoint = step.inverse().AdjointMap()
-    composed: NDArray[np.float64] = adjoint @ covariance @ adjoint.T + step_covariance
-    return (composed + composed.T) / 2
+        return GaussianPose(gtsam.Pose3.Expmap(self.twist * seconds), np.diag(sigmas**2))

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import Config, ScaleSource
+from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
@@ -23,7 +23,7 @@ from fvslam_graph.vo.depth import InverseDepths, triangulate
 from fvslam_graph.vo.estimate import VoEstimate, metric_pose
 from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.locate import locate
-from fvslam_graph.vo.motion_model import ConstantVelocity, compose_covariance
+from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import LogScale, MetricMap, MetricScale
 from fvslam_graph.vo.two_view import estimate_two_view, rays
@@ -40,15 +40,13 @@ class _Motion:
     """A measured motion against the reference.
 
     Attributes:
-        ref_T_cur: Pose, metres.
-        covariance: (6, 6) in its tangent.
+        ref_T_cur: Pose and its covariance.
         tracks: Those that agree with it.
         map: Of the reference, with what was learnt.
         scale: Of the baseline, where it was estimated.
     """
 
-    ref_T_cur: gtsam.Pose3
-    covariance: NDArray[np.float64]
+    ref_T_cur: GaussianPose
     tracks: Tracks
     map: MetricMap
     scale: LogScale | None = None
@@ -91,8 +89,7 @@ class VisualOdometry:
         self._reference: Frame | None = None
         self._points = 0  # how many the reference has
         self._map = MetricMap.empty()  # of the reference
-        self._ref_T_last = gtsam.Pose3()  # where the last usable image was taken, its covariance and time
-        self._covariance = np.zeros((6, 6))
+        self._ref_T_last = GaussianPose.identity()  # where the last usable image was taken, and its time
         self._last_stamp = math.nan
         self._first = 0  # index of the first frame
         self._seen = Tracks.none()  # where the points were when the camera last moved
@@ -128,7 +125,7 @@ class VisualOdometry:
 
         far = motion.scale is not None and parallax > self.settings.keyframe_parallax
         if far or len(motion.tracks) < self.settings.keyframe_tracks * self._points:
-            self._make_keyframe(frame, motion)
+            self._refer_to(frame, motion.tracks, estimate.map)
         return estimate
 
     def _measure(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
@@ -161,18 +158,17 @@ class VisualOdometry:
         """No translation, with the uncertainty of a parallax that counts as none."""
         hidden = self.settings.static_parallax / self.camera.fx
         sigmas = np.repeat([hidden, hidden * self._typical_depth()], 3)
-        step = gtsam.Pose3(shaken, np.zeros(3))
-        covariance = compose_covariance(self._covariance, step, np.diag(sigmas**2))
+        step = GaussianPose(gtsam.Pose3(shaken, np.zeros(3)), np.diag(sigmas**2))
         self._motion_model.stop()
         self._last_stamp, self._failures = frame.stamp, 0
-        estimate = self._estimate(frame, self._ref_T_last.compose(step), covariance, Status.STATIC)
+        estimate = self._estimate(frame, self._ref_T_last.compose(step), Status.STATIC)
         return replace(estimate, found=len(tracks), tracks=tracks)
 
     def _move_by_two_views(self, frame: Frame, tracks: Tracks) -> _Motion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
         assert self._reference is not None
         with self._stopwatch.stage("pose"):
-            expected, _ = self._predict(frame)
+            expected = self._predict(frame).mean
             two_view = estimate_two_view(tracks, self.camera, self.settings, self._seed(), expected)
         if two_view is None:
             return None
@@ -185,8 +181,7 @@ class VisualOdometry:
             scale, known = self._scale.estimate(
                 self._reference, frame, two_view, previous, unit, self._map, fallback, self._rng
             )
-        ref_T_cur, covariance = metric_pose(two_view, scale)
-        return _Motion(ref_T_cur, covariance, tracks, known, scale)
+        return _Motion(metric_pose(two_view, scale), tracks, known, scale)
 
     def _move_in_map(self, tracks: Tracks) -> _Motion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
@@ -203,30 +198,28 @@ class VisualOdometry:
         # The map's scale is uncertain, and the distance travelled in it likewise.
         travel = np.concatenate([np.zeros(3), ref_T_cur.rotation().unrotate(ref_T_cur.translation())])
         covariance = covariance + self._map.variance * np.outer(travel, travel)
-        return _Motion(ref_T_cur, covariance, tracks[kept], self._map)
+        return _Motion(GaussianPose(ref_T_cur, covariance), tracks[kept], self._map)
 
     def _turn(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion:
         """Rotation alone; both it and the translation are as uncertain as the parallax that may hide in it."""
         hidden = max(parallax, self.settings.static_parallax) / ROTATION_AMBIGUITY / self.camera.fx
         covariance = np.diag(np.repeat([hidden, hidden * self._typical_depth()], 3) ** 2)
-        return _Motion(gtsam.Pose3(rotation, np.zeros(3)), covariance, tracks, self._map)
+        return _Motion(GaussianPose(gtsam.Pose3(rotation, np.zeros(3)), covariance), tracks, self._map)
 
     def _accept(self, frame: Frame, motion: _Motion) -> VoEstimate:
         """Take over a measured motion."""
         assert self._reference is not None
         # The mean since the reference: a difference of two poses that are near each other would be mostly noise.
-        self._motion_model.observe(motion.ref_T_cur, frame.stamp - self._reference.stamp, motion.map.variance)
-        self._ref_T_last, self._covariance, self._last_stamp = motion.ref_T_cur, motion.covariance, frame.stamp
+        seconds = frame.stamp - self._reference.stamp
+        self._motion_model.observe(motion.ref_T_cur.mean, seconds, motion.map.variance)
+        self._ref_T_last, self._last_stamp = motion.ref_T_cur, frame.stamp
         self._seen, self._failures = motion.tracks, 0
-        estimate = self._estimate(frame, motion.ref_T_cur, motion.covariance, Status.TRACKED)
-        return replace(estimate, tracks=motion.tracks, scale=motion.scale)
-
-    def _make_keyframe(self, frame: Frame, motion: _Motion) -> None:
-        """This frame becomes the reference; its map are the depths of the tracks that it shares with the last one."""
+        estimate = self._estimate(frame, motion.ref_T_cur, Status.TRACKED)
         mine, theirs = motion.map.depths.common(motion.tracks.ids)
         seen = rays(self.camera, motion.tracks.reference[theirs])
-        depths = motion.map.depths[mine].moved(seen, motion.ref_T_cur)
-        self._refer_to(frame, motion.tracks, MetricMap(depths, motion.map.variance))
+        depths = motion.map.depths[mine].moved(seen, motion.ref_T_cur.mean)
+        here = MetricMap(depths, motion.map.variance)
+        return replace(estimate, tracks=motion.tracks, scale=motion.scale, map=here)
 
     def _lose(self, frame: Frame) -> VoEstimate:
         """The image does not fit the reference: a bad image is passed over, a changed scene becomes the reference."""
@@ -246,19 +239,18 @@ class VisualOdometry:
 
     def _coast(self, frame: Frame, status: Status) -> VoEstimate:
         """The motion model carries on from the last usable image."""
-        return self._estimate(frame, *self._predict(frame), status)
+        return self._estimate(frame, self._predict(frame), status)
 
-    def _predict(self, frame: Frame) -> tuple[gtsam.Pose3, NDArray[np.float64]]:
-        """ref_T_cur and its covariance as the motion model has them."""
-        step, spread = self._motion_model.predict(frame.stamp - self._last_stamp)
-        return self._ref_T_last.compose(step), compose_covariance(self._covariance, step, spread)
+    def _predict(self, frame: Frame) -> GaussianPose:
+        """ref_T_cur as the motion model has it."""
+        return self._ref_T_last.compose(self._motion_model.predict(frame.stamp - self._last_stamp))
 
     def _refer_to(self, frame: Frame, kept: Tracks, known: MetricMap) -> None:
         assert frame.image is not None
         with self._stopwatch.stage("detection"):
             self._seen = self._association.rebase(frame.image, kept)
         self._reference, self._map, self._points = frame, known, len(self._seen)
-        self._ref_T_last, self._covariance = gtsam.Pose3(), np.zeros((6, 6))
+        self._ref_T_last = GaussianPose.identity()
         self._failures = 0
 
     def _guess(self, unit: InverseDepths) -> LogScale:
@@ -276,8 +268,6 @@ class VisualOdometry:
     def _seed(self) -> int:
         return int(self._rng.integers(2**31))
 
-    def _estimate(
-        self, frame: Frame, ref_T_cur: gtsam.Pose3, covariance: NDArray[np.float64], status: Status
-    ) -> VoEstimate:
+    def _estimate(self, frame: Frame, ref_T_cur: GaussianPose, status: Status) -> VoEstimate:
         reference = self._first if self._reference is None else self._reference.index
-        return VoEstimate(frame.index, reference, ref_T_cur, covariance, status, times=self._stopwatch.times)
+        return VoEstimate(frame.index, reference, ref_T_cur, status, times=self._stopwatch.times)

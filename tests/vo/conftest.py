@@ -131,14 +131,14 @@ class Recording(NamedTuple):
 
     def errors(self, estimates: list[VoEstimate]) -> NDArray[np.float64]:
         """Rotation (rad) and translation (m) errors in the tangent of each estimate, (N, 6)."""
-        return np.array([gtsam.Pose3.Logmap(e.prev_T_cur.between(self.truth(e))) for e in estimates])
+        return np.array([gtsam.Pose3.Logmap(e.prev_T_cur.mean.between(self.truth(e))) for e in estimates])
 
     def nees(self, estimates: list[VoEstimate]) -> NDArray[np.float64]:
-        return nees(self.errors(estimates), np.array([estimate.covariance for estimate in estimates]))[0]
+        return nees(self.errors(estimates), np.array([estimate.prev_T_cur.covariance for estimate in estimates]))[0]
 
     def relative_lengths(self, estimates: list[VoEstimate]) -> NDArray[np.float64]:
         """Estimated over true distances, (N,)."""
-        pairs = [(e.prev_T_cur.translation(), self.truth(e).translation()) for e in estimates]
+        pairs = [(e.prev_T_cur.mean.translation(), self.truth(e).translation()) for e in estimates]
         return np.array([np.linalg.norm(estimated) / np.linalg.norm(true) for estimated, true in pairs])
 
 

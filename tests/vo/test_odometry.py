@@ -79,9 +79,11 @@ def test_every_estimate_is_well_formed(drive, preset, source):
         assert earlier.previous <= estimate.previous < estimate.index
         assert estimates[estimate.previous].status not in (Status.SKIPPED, Status.COASTED)  # it had a usable image
     for estimate in estimates:
-        assert np.isfinite(estimate.prev_T_cur.matrix()).all()
-        assert np.array_equal(estimate.covariance, estimate.covariance.T)
-        assert np.linalg.eigvalsh(estimate.covariance)[0] >= -1e-12 * np.trace(estimate.covariance)
+        assert np.isfinite(estimate.prev_T_cur.mean.matrix()).all()
+        assert np.array_equal(estimate.prev_T_cur.covariance, estimate.prev_T_cur.covariance.T)
+        assert np.linalg.eigvalsh(estimate.prev_T_cur.covariance)[0] >= -1e-12 * np.trace(
+            estimate.prev_T_cur.covariance
+        )
         assert len(estimate.tracks) <= estimate.found
         assert len(np.unique(estimate.tracks.ids)) == len(estimate.tracks)
 
@@ -90,12 +92,14 @@ def test_every_estimate_is_well_formed(drive, preset, source):
 def test_the_same_seed_gives_the_same_bits(drive, preset):
     first, again = (drive.run(preset=preset) for _ in range(2))
     for a, b in zip(first, again, strict=True):
-        assert np.array_equal(a.prev_T_cur.matrix(), b.prev_T_cur.matrix())
-        assert np.array_equal(a.covariance, b.covariance)
+        assert np.array_equal(a.prev_T_cur.mean.matrix(), b.prev_T_cur.mean.matrix())
+        assert np.array_equal(a.prev_T_cur.covariance, b.prev_T_cur.covariance)
         assert np.array_equal(a.tracks.current, b.tracks.current)
     # The ground plane's hypotheses are random as well; this is about the rest.
     first, other = (drive.run(preset=preset, settings=("scale.source=unit", seed)) for seed in ("seed=0", "seed=1"))
-    assert any(not np.array_equal(a.covariance, b.covariance) for a, b in zip(first, other, strict=True))
+    assert any(
+        not np.array_equal(a.prev_T_cur.covariance, b.prev_T_cur.covariance) for a, b in zip(first, other, strict=True)
+    )
 
 
 def test_covariances_are_about_honest(flight, flown, drive, driven):
@@ -109,9 +113,9 @@ def test_an_uncertain_map_makes_an_uncertain_distance(flown):
     located = [estimate for estimate in flown[3:] if estimate.scale is None]
     assert len(located) >= 5
     for estimate in located:
-        travel = estimate.prev_T_cur.rotation().unrotate(estimate.prev_T_cur.translation())
+        travel = estimate.prev_T_cur.mean.rotation().unrotate(estimate.prev_T_cur.mean.translation())
         along = np.concatenate([np.zeros(3), travel]) / np.linalg.norm(travel)
-        relative = np.sqrt(along @ estimate.covariance @ along) / np.linalg.norm(travel)
+        relative = np.sqrt(along @ estimate.prev_T_cur.covariance @ along) / np.linalg.norm(travel)
         keyframe = next(other for other in flown if other.index == estimate.previous)
         assert np.sqrt(keyframe.scale.variance) < relative < 1.2 * np.sqrt(keyframe.scale.variance)
 
@@ -133,7 +137,7 @@ def test_map_keeps_one_scale(flight):
 def test_unit(drive):
     estimates = drive.run(settings=("scale.source=unit",))[1:]
     assert [estimate.scale.metres for estimate in estimates] == [1.0] * 19
-    assert [length(estimate.prev_T_cur) for estimate in estimates] == pytest.approx([1.0] * 19)
+    assert [length(estimate.prev_T_cur.mean) for estimate in estimates] == pytest.approx([1.0] * 19)
 
 
 def test_plane_is_metric_where_heights_are_in_metres(flight):
@@ -152,9 +156,9 @@ def test_standing_still(flight, preset):
     estimates = flight.run(still, preset)
     assert statuses(estimates) == [Status.STATIC] * 20
     assert {estimate.previous for estimate in estimates} == {0}
-    assert all(length(estimate.prev_T_cur) == 0 for estimate in estimates)
-    assert 1e-6 < max(angle(estimate.prev_T_cur) for estimate in estimates) < 2e-4  # measured 4e-5 rad
-    assert all(np.linalg.eigvalsh(estimate.covariance)[0] > 0 for estimate in estimates[1:])
+    assert all(length(estimate.prev_T_cur.mean) == 0 for estimate in estimates)
+    assert 1e-6 < max(angle(estimate.prev_T_cur.mean) for estimate in estimates) < 2e-4  # measured 4e-5 rad
+    assert all(np.linalg.eigvalsh(estimate.prev_T_cur.covariance)[0] > 0 for estimate in estimates[1:])
 
 
 def test_a_camera_that_has_stopped_stays_where_it_is(flight):
@@ -163,7 +167,7 @@ def test_a_camera_that_has_stopped_stays_where_it_is(flight):
     assert statuses(estimates[9:]) == [Status.STATIC] * 9 + [Status.SKIPPED, Status.COASTED]
     for estimate in estimates[18:]:
         assert estimate.previous == estimates[17].previous
-        assert estimate.prev_T_cur.equals(estimates[17].prev_T_cur, 1e-3)
+        assert estimate.prev_T_cur.mean.equals(estimates[17].prev_T_cur.mean, 1e-3)
 
 
 def turned(camera, image: np.ndarray, rotation: gtsam.Rot3, seed: int) -> np.ndarray:
@@ -182,9 +186,9 @@ def test_turning_on_the_spot_does_not_travel(flight, preset):
     assert Status.COASTED not in statuses(estimates)
     for estimate in estimates[1:]:
         assert estimate.status is Status.TRACKED
-        assert length(estimate.prev_T_cur) == 0
+        assert length(estimate.prev_T_cur.mean) == 0
         true = gtsam.Pose3(turns[estimate.previous].between(turns[estimate.index]), np.zeros(3))
-        assert angle(estimate.prev_T_cur.between(true)) < 8e-4  # measured 2.3e-4 rad
+        assert angle(estimate.prev_T_cur.mean.between(true)) < 8e-4  # measured 2.3e-4 rad
 
 
 def test_turning_among_known_points_does_not_travel(flight):
@@ -193,7 +197,7 @@ def test_turning_among_known_points_does_not_travel(flight):
     estimates = flight.run({5 + i: turned(camera, last, turn, i) for i, turn in enumerate(turns)})
     place = [gtsam.Pose3()]
     for estimate in estimates[1:]:
-        place.append(place[estimate.previous].compose(estimate.prev_T_cur))
+        place.append(place[estimate.previous].compose(estimate.prev_T_cur.mean))
     assert all(estimate.status in (Status.TRACKED, Status.STATIC) for estimate in estimates)
     for index, turn in enumerate(turns):
         moved = place[5].between(place[5 + index])

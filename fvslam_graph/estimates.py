@@ -1,0 +1,40 @@
+"""Poses with their covariances: what the blocks hand to each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class GaussianPose:
+    """A pose a_T_b as a normal distribution.
+
+    Attributes:
+        mean: Metres.
+        covariance: (6, 6) in the tangent of the mean: rotation (rad), then translation (m).
+    """
+
+    mean: gtsam.Pose3
+    covariance: NDArray[np.float64]
+
+    @classmethod
+    def identity(cls) -> Self:
+        """The exact identity."""
+        return cls(gtsam.Pose3(), np.zeros((6, 6)))
+
+    def compose(self, step: GaussianPose) -> GaussianPose:
+        """a_T_c of this a_T_b and an independent b_T_c; to first order."""
+        adjoint = step.mean.inverse().AdjointMap()
+        covariance = adjoint @ self.covariance @ adjoint.T + step.covariance
+        return GaussianPose(self.mean.compose(step.mean), (covariance + covariance.T) / 2)
+
+    def inverse(self) -> GaussianPose:
+        """b_T_a."""
+        adjoint = self.mean.AdjointMap()
+        covariance = adjoint @ self.covariance @ adjoint.T
+        return GaussianPose(self.mean.inverse(), (covariance + covariance.T) / 2)

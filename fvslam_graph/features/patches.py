@@ -1,0 +1,168 @@
+"""Patches that are found again from another view: warped to it, searched by correlation, aligned to sub-pixels."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera, Image
+
+Array = NDArray[np.float64]
+Patches = NDArray[np.float32]
+
+REACH = 20  # pixels from the middle of a kept tile to its rim: what a warped patch may take from
+COARSE = 11  # pixels, odd side of a patch in the image halved
+SIDE = 2 * COARSE  # pixels, its side in the image itself; its middle lies between pixels
+MARGIN = COARSE + 1  # pixels from the rim of the image within which no patch fits
+_OFFSETS = np.arange(SIDE) - (SIDE - 1) / 2
+_ITERATIONS = 4  # of the alignment
+
+
+def cut_tiles(image: Image, pixels: Array) -> NDArray[np.uint8]:
+    """Tiles (N, T, T) with T = 2 REACH + 1 around the whole pixels nearest to `pixels`, (N, 2)."""
+    offset = np.arange(-REACH, REACH + 1)
+    column, row = np.rint(pixels).astype(np.intp).T
+    rows = np.clip(row[:, None] + offset, 0, image.shape[0] - 1)
+    columns = np.clip(column[:, None] + offset, 0, image.shape[1] - 1)
+    return image[rows[:, :, None], columns[:, None, :]]
+
+
+def view_change(anchor_T_camera: Array, points: Array, camera: Camera) -> Array:
+    """How offsets in the present image become offsets in the image of the anchor, (N, 2, 2).
+
+    A patch is taken as a plane that faces the anchor.
+
+    Args:
+        anchor_T_camera: (N, 4, 4) present camera in that of each patch's image.
+        points: (N, 3) middles of the patches in the present camera, metres.
+        camera: Undistorted.
+    """
+    rotation, translation = anchor_T_camera[:, :3, :3], anchor_T_camera[:, :3, 3]
+    there = np.einsum("nij,nj->ni", rotation, points) + translation
+    # A ray x / z = r of the plane n . X = d in the anchor is seen at R^T (r - t n . r / d) in the camera.
+    normal = there / (there**2).sum(axis=1, keepdims=True)  # n / d
+    forward = rotation.mT @ (np.eye(3) - translation[:, :, None] * normal[:, None, :])
+    seen = points / there[:, 2:]  # of the ray that hits the middle
+    focal = np.array([camera.fx, camera.fy])
+    by_seen = np.zeros((len(points), 2, 3))
+    by_seen[:, 0, 0] = by_seen[:, 1, 1] = 1 / seen[:, 2]
+    by_seen[:, :, 2] = -seen[:, :2] / seen[:, 2:] ** 2
+    change = focal[:, None] * (by_seen @ forward[:, :, :2]) / focal
+    determinant = np.linalg.det(change)
+    inverse = np.full_like(change, np.nan)
+    sound = np.abs(determinant) > 1e-6
+    inverse[sound] = np.linalg.inv(change[sound])
+    return inverse
+
+
+def warp(tiles: NDArray[np.uint8], centres: Array, change: Array) -> tuple[Patches, NDArray[np.bool_]]:
+    """Patches (N, SIDE, SIDE) as they look from the present view, and which lie within their tiles, (N,).
+
+    Args:
+        tiles: (N, T, T).
+        centres: (N, 2) where the points are in the tiles, pixels.
+        change: (N, 2, 2) from offsets in the present view to offsets in the tile.
+    """
+    grid = np.stack(np.meshgrid(_OFFSETS, _OFFSETS)).reshape(2, -1)
+    where = centres[:, :, None] + change @ grid
+    within = np.all((where >= 0) & (where <= tiles.shape[1] - 1), axis=(1, 2))
+    where = np.where(within[:, None, None], where, 0.0)
+    where[:, 1] += tiles.shape[1] * np.arange(len(tiles))[:, None]
+    maps = where.astype(np.float32).reshape(len(tiles), 2, SIDE, SIDE)
+    atlas = tiles.reshape(-1, tiles.shape[2])
+    across, down = (maps[:, axis].reshape(-1, SIDE) for axis in (0, 1))
+    patches: Patches = cv2.remap(atlas, across, down, cv2.INTER_LINEAR).astype(np.float32)
+    return patches.reshape(-1, SIDE, SIDE), within
+
+
+def search(
+    image: Image, patches: Patches, expected: Array, covariances: Array, gate: float, radius: int
+) -> tuple[Array, Array]:
+    """Where in their ellipses patches correlate best, to the two pixels that are one in the image halved.
+
+    Args:
+        image: (H, W) uint8.
+        patches: (N, SIDE, SIDE).
+        expected: (N, 2) pixels.
+        covariances: (N, 2, 2) pixels^2.
+        gate: Squared Mahalanobis distance at the rim of the ellipse.
+        radius: Pixels that are searched at most along each axis.
+
+    Returns:
+        (N, 2) pixels, (N,) correlation there, -1 where the ellipse is not in the image.
+    """
+    height, width = (side // 2 for side in image.shape)
+    halved = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    templates = patches.reshape(-1, COARSE, 2, COARSE, 2).mean(axis=(2, 4)).astype(np.uint8)
+    middle = np.rint((expected - 0.5) / 2).astype(np.intp)
+    extent = np.sqrt(gate * np.diagonal(covariances, axis1=1, axis2=2)) / 2
+    reach = np.clip(np.ceil(extent), 1, radius // 2).astype(np.intp)
+    half = COARSE // 2
+    low = np.maximum(middle - reach, half)
+    high = np.minimum(middle + reach, (width - 1 - half, height - 1 - half))
+    # Squared distances from the middle of an ellipse, of which each search takes its part.
+    limit = radius // 2
+    across = np.arange(-limit, limit + 1, dtype=np.float32)
+    xx, xy, yy = across**2, across[:, None] * across, across[:, None] ** 2
+    near = (xx <= 1) & (yy <= 1)  # these count, however small the ellipse is
+    information = (4 * np.linalg.inv(covariances) / gate).astype(np.float32)
+    found, correlation = expected.copy(), np.full(len(patches), -1.0)
+    for n in np.flatnonzero((low <= high).all(axis=1)):
+        (left, top), (right, bottom) = low[n], high[n] + 1
+        window = halved[top - half : bottom + half, left - half : right + half]
+        scores = cv2.matchTemplate(window, templates[n], cv2.TM_CCOEFF_NORMED)
+        columns = slice(left - middle[n, 0] + limit, right - middle[n, 0] + limit)
+        rows = slice(top - middle[n, 1] + limit, bottom - middle[n, 1] + limit)
+        (a, b), (_, d) = information[n]
+        inside = a * xx[columns] + 2 * b * xy[rows, columns] + d * yy[rows] <= 1
+        inside |= near[rows, columns]
+        _, correlation[n], _, best = cv2.minMaxLoc(scores, inside.view(np.uint8))
+        found[n] = 2 * (low[n] + best) + 0.5
+    return found, correlation
+
+
+def align(image: Image, patches: Patches, start: Array) -> tuple[Array, Array]:
+    """Move patches by fractions of a pixel to where they fit best, whatever brightness and contrast.
+
+    Source: Baker, Matthews, "Lucas-Kanade 20 years on", IJCV 56(3), 2004, inverse compositional, translations.
+
+    Args:
+        image: (H, W) uint8.
+        patches: (N, SIDE, SIDE).
+        start: (N, 2) pixels, right to one or two pixels.
+
+    Returns:
+        (N, 2) pixels, and (N,) the correlation there.
+    """
+    template = _normalised(patches)
+    by_y, by_x = np.gradient(template, axis=(1, 2))
+    gradient = np.stack([by_x, by_y], axis=-1).reshape(len(patches), -1, 2)
+    gradient -= gradient.mean(axis=1, keepdims=True)
+    flat = template.reshape(len(patches), -1)
+    # Contrast may change too, so that what of the gradient looks like it is of no use.
+    gradient -= flat[:, :, None] * (flat[:, None, :] @ gradient)
+    inverse = np.linalg.pinv(gradient.mT @ gradient, hermitian=True)
+    position = start.copy()
+    for _ in range(_ITERATIONS):
+        seen = _sample(image, position)
+        error = (_normalised(seen) - template).reshape(len(patches), -1, 1)
+        position = position - (inverse @ (gradient.mT @ error))[:, :, 0]
+    seen = _normalised(_sample(image, position)).reshape(len(patches), -1)
+    return position, (seen * flat).sum(axis=1)
+
+
+def _sample(image: Image, position: Array) -> Patches:
+    """Patches (N, SIDE, SIDE) of the image around positions (N, 2)."""
+    x, y = (position[:, :, None] + _OFFSETS).astype(np.float32).swapaxes(0, 1)
+    across = np.broadcast_to(x[:, None, :], (len(x), SIDE, SIDE)).reshape(-1, SIDE)
+    down = np.broadcast_to(y[:, :, None], (len(x), SIDE, SIDE)).reshape(-1, SIDE)
+    seen: Patches = cv2.remap(image, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return seen.astype(np.float32).reshape(-1, SIDE, SIDE)
+
+
+def _normalised(patches: Patches) -> Patches:
+    """Of zero mean and unit length."""
+    centred = patches - patches.mean(axis=(1, 2), keepdims=True)
+    unit: Patches = centred / np.maximum(np.linalg.norm(centred, axis=(1, 2), keepdims=True), 1e-3)
+    return unit

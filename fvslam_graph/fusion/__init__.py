@@ -1,0 +1,1 @@
+"""Fusion of visual odometry and visual SLAM."""

@@ -1,0 +1,1 @@
+"""EKF visual SLAM: a camera-centred filter with landmarks in inverse depth."""

@@ -1,0 +1,113 @@
+"""New landmarks: where the filter's map begins and grows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.features.known_points import KnownPoints
+from fvslam_graph.slam.landmarks import INVERSE, Array, angles
+from fvslam_graph.slam.state import SCALE, State, symmetric
+
+NEIGHBOURHOOD = 0.1  # of the image's width: landmarks this near to a pixel tell most about its depth
+
+
+@dataclass(frozen=True)
+class DepthPrior:
+    """Expected inverse distances of K new landmarks.
+
+    Attributes:
+        inverse: (K,) 1/metres.
+        covariance: (K, K) of what the state does not know of them.
+        by_state: (K, n) how they depend on the error state; zero where they do not.
+    """
+
+    inverse: Array
+    covariance: Array
+    by_state: Array
+
+
+def known_depths(points: KnownPoints, camera: Camera, size: int) -> DepthPrior:
+    """From points of known depth, which share a scale; `size` is n."""
+    stretch = np.linalg.norm(np.column_stack([camera.normalize(points.pixels), np.ones(len(points))]), axis=1)
+    inverse = points.inverse_depths / stretch  # distances are longer than depths
+    covariance = np.diag((points.sigmas / stretch) ** 2) + points.log_variance * np.outer(inverse, inverse)
+    by_state = np.zeros((len(points), size))
+    by_state[:, SCALE] = inverse  # depths are metric, and the map is uncertain of its scale
+    return DepthPrior(inverse, covariance, by_state)
+
+
+def depths_from_map(state: State, pixels: Array, camera: Camera, spread: float) -> DepthPrior | None:
+    """As far away as the landmarks around them in the image; None without landmarks in front of the camera.
+
+    The logarithm of the inverse distance is a weighted mean over the map, plus noise of deviation `spread`. It goes
+    along with the map's scale, which it so tells nothing about: a fixed prior would pull at it.
+
+    Args:
+        state: With the map in the present camera.
+        pixels: (K, 2) of the new landmarks.
+        camera: Undistorted.
+        spread: Standard deviation of the logarithm.
+    """
+    points, logs, by_state = state.log_distances()
+    if not len(points):
+        return None
+    square = ((pixels[:, None] - camera.project(points)) ** 2).sum(axis=2) / (NEIGHBOURHOOD * camera.width) ** 2
+    weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
+    weight /= weight.sum(axis=1, keepdims=True)
+    inverse = np.exp(-weight @ logs)
+    return DepthPrior(inverse, np.diag((spread * inverse) ** 2), -inverse[:, None] * (weight @ by_state))
+
+
+def equal_depths(count: int, distance: float, spread: float, size: int) -> DepthPrior:
+    """All at one distance, metres, with the deviation `spread` of its logarithm: where nothing is known."""
+    inverse = np.full(count, 1 / distance)
+    return DepthPrior(inverse, np.diag((spread * inverse) ** 2), np.zeros((count, size)))
+
+
+def with_new_landmarks(
+    state: State, ids: NDArray[np.int64], pixels: Array, prior: DepthPrior, camera: Camera, sigma: float
+) -> State:
+    """The state with landmarks in inverse depth, anchored at the present camera, where their anchor is exact.
+
+    Args:
+        state: As seen from the present camera.
+        ids: (K,) of the new landmarks.
+        pixels: (K, 2) where they are seen.
+        prior: Their inverse distances.
+        camera: Undistorted.
+        sigma: Of the pixels along each axis.
+    """
+    rays = np.column_stack([camera.normalize(pixels), np.ones(len(pixels))])
+    pointing, by_ray = angles(rays)
+    by_pixel = by_ray[:, :, :2] / (camera.fx, camera.fy)
+    new = np.column_stack([np.zeros((len(ids), 3)), pointing, prior.inverse])
+
+    noise = np.zeros((len(ids), INVERSE, len(ids), INVERSE))
+    each = np.arange(len(ids))
+    noise[each, 3:5, each, 3:5] = sigma**2 * by_pixel @ by_pixel.mT
+    noise[:, 5, :, 5] = prior.covariance
+    # Only the inverse distances depend on what is in the state.
+    cross = np.zeros((len(ids), INVERSE, len(state.covariance)))
+    cross[:, 5] = prior.by_state @ state.covariance
+    own = noise.copy()
+    own[:, 5, :, 5] += cross[:, 5] @ prior.by_state.T
+
+    begin, end = len(state.covariance), len(state.covariance) - state.points.size
+    extended = np.zeros((begin + new.size,) * 2)
+    extended[:begin, :begin] = state.covariance
+    extended[begin:, :begin] = cross.reshape(new.size, begin)
+    extended[:begin, begin:] = extended[begin:, :begin].T
+    extended[begin:, begin:] = symmetric(own.reshape(new.size, new.size))
+    # Points come after all landmarks in inverse depth.
+    order = np.concatenate([np.arange(end), np.arange(begin, len(extended)), np.arange(end, begin)])
+    split = len(state.inverse)
+    return replace(
+        state,
+        inverse=np.vstack([state.inverse, new]),
+        ids=np.concatenate([state.ids[:split], ids, state.ids[split:]]),
+        covariance=extended[np.ix_(order, order)],
+    )

@@ -1,0 +1,104 @@
+"""Landmarks as inverse depths and as points, and how one becomes the other.
+
+A landmark in inverse depth is (x, y, z, azimuth, elevation, inverse depth): the camera centre that saw it first (its
+anchor), the direction in which it was seen and the inverse of its distance from there. All are expressed in the present
+camera. Source: Civera, Davison, Montiel, "Inverse depth parametrization for monocular SLAM", IEEE T-RO 24(5), 2008.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+INVERSE = 6  # numbers of a landmark in inverse depth
+POINT = 3  # numbers of a landmark that is a point
+_LEAST_INVERSE_DEPTH = 1e-9  # 1/m, beyond which distances are not computed
+
+
+def direction(azimuth: Array, elevation: Array) -> tuple[Array, Array]:
+    """Unit vectors (N, 3) and their Jacobian (N, 3, 2); azimuth is to the right, elevation upwards, radians."""
+    sin_a, cos_a, sin_e, cos_e = np.sin(azimuth), np.cos(azimuth), np.sin(elevation), np.cos(elevation)
+    unit = np.stack([cos_e * sin_a, -sin_e, cos_e * cos_a], axis=1)
+    by_azimuth = np.stack([cos_e * cos_a, np.zeros_like(sin_a), -cos_e * sin_a], axis=1)
+    by_elevation = np.stack([-sin_e * sin_a, -cos_e, -sin_e * cos_a], axis=1)
+    return unit, np.stack([by_azimuth, by_elevation], axis=2)
+
+
+def angles(vectors: Array) -> tuple[Array, Array]:
+    """Azimuth and elevation (N, 2) of vectors (N, 3) of any length, and their Jacobian (N, 2, 3)."""
+    x, y, z = vectors.T
+    level = np.hypot(x, z)
+    square = level**2 + y**2
+    by_azimuth = np.stack([z / level**2, np.zeros_like(x), -x / level**2], axis=1)
+    by_elevation = np.stack([x * y / (level * square), -level / square, y * z / (level * square)], axis=1)
+    return np.stack([np.arctan2(x, z), np.arctan2(-y, level)], axis=1), np.stack([by_azimuth, by_elevation], axis=1)
+
+
+def scaled_points(inverse: Array) -> tuple[Array, Array]:
+    """Landmarks (M, 6) as points times their inverse depth, (M, 3), which exist at infinity too; Jacobian (M, 3, 6)."""
+    unit, by_angles = direction(inverse[:, 3], inverse[:, 4])
+    jacobian = np.zeros((len(inverse), 3, INVERSE))
+    jacobian[:, :, :3] = inverse[:, 5, None, None] * np.eye(3)
+    jacobian[:, :, 3:5] = by_angles
+    jacobian[:, :, 5] = inverse[:, :3]
+    return inverse[:, 5, None] * inverse[:, :3] + unit, jacobian
+
+
+def to_points(inverse: Array) -> tuple[Array, Array]:
+    """Landmarks (M, 6) as points (M, 3), metres, and their Jacobian (M, 3, 6); at infinity they are far away."""
+    unit, by_angles = direction(inverse[:, 3], inverse[:, 4])
+    depth = 1 / np.maximum(inverse[:, 5], _LEAST_INVERSE_DEPTH)
+    jacobian = np.zeros((len(inverse), 3, INVERSE))
+    jacobian[:, :, :3] = np.eye(3)
+    jacobian[:, :, 3:5] = depth[:, None, None] * by_angles
+    jacobian[:, :, 5] = -(depth**2)[:, None] * unit
+    return inverse[:, :3] + depth[:, None] * unit, jacobian
+
+
+def seen_from(inverse: Array, rotation: Array, translation: Array) -> tuple[Array, Array, Array]:
+    """Landmarks (M, 6) in a camera that moved.
+
+    Args:
+        inverse: (M, 6) in the previous camera.
+        rotation, translation: (3, 3) and (3,) of prev_T_cur.
+
+    Returns:
+        (M, 6) in the current camera, its Jacobians by the right perturbation of prev_T_cur (M, 6, 6) and by `inverse`
+        (M, 6, 6).
+    """
+    unit, by_angles = direction(inverse[:, 3], inverse[:, 4])
+    anchor, ray = (inverse[:, :3] - translation) @ rotation, unit @ rotation
+    pointing, by_ray = angles(ray)
+    by_motion = np.zeros((len(inverse), INVERSE, 6))
+    by_motion[:, :3, :3] = hat(anchor)
+    by_motion[:, :3, 3:] = -np.eye(3)
+    by_motion[:, 3:5, :3] = by_ray @ hat(ray)
+    by_landmark = np.zeros((len(inverse), INVERSE, INVERSE))
+    by_landmark[:, :3, :3] = rotation.T
+    by_landmark[:, 3:5, 3:5] = by_ray @ rotation.T @ by_angles
+    by_landmark[:, 5, 5] = 1.0
+    return np.column_stack([anchor, pointing, inverse[:, 5]]), by_motion, by_landmark
+
+
+def linearity_index(inverse: Array, sigma: Array) -> Array:
+    """How far from linear a landmark (M, 6) projects as a point, given the deviation (M,) of its inverse depth.
+
+    Below about 0.1 the error of a point is normally distributed as well (Civera, Davison, Montiel 2008, eq. 34).
+    """
+    unit, _ = direction(inverse[:, 3], inverse[:, 4])
+    points, _ = to_points(inverse)
+    distance = np.linalg.norm(points, axis=1)
+    cosine = (unit * points).sum(axis=1) / distance
+    spread = sigma / np.maximum(inverse[:, 5], _LEAST_INVERSE_DEPTH) ** 2
+    index: Array = 4 * spread / distance * np.abs(cosine)
+    return index
+
+
+def hat(vectors: Array) -> Array:
+    """Matrices (N, 3, 3) of the cross product with vectors (N, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    rows = ([zero, -z, y], [z, zero, -x], [-y, x, zero])
+    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)

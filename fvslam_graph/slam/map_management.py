@@ -1,0 +1,133 @@
+"""Which landmarks the map keeps, and which it takes in."""
+
+from __future__ import annotations
+
+import math
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.config import SlamSettings
+from fvslam_graph.features.known_points import KnownPoints
+from fvslam_graph.features.patches import MARGIN
+from fvslam_graph.sequences.base import Frame
+from fvslam_graph.slam.estimate import Landmarks, Outcome
+from fvslam_graph.slam.finder import LandmarkFinder
+from fvslam_graph.slam.initialisation import depths_from_map, equal_depths, known_depths, with_new_landmarks
+from fvslam_graph.slam.landmarks import Array, linearity_index
+from fvslam_graph.slam.records import Records
+from fvslam_graph.slam.state import State
+
+SPACING = 15.0  # pixels at least between landmarks
+TRIALS = 5  # how often a landmark is looked for before it is judged
+MIN_SUCCESS = 0.5  # share of these in which it has to be measured
+SMOOTHING = 0.2  # weight of the newest frame in the share of landmarks that are measured
+LEAST_SHARE = 0.3  # below, more landmarks would not help
+LINEARITY = 0.1  # index below which a landmark is taken as a point (Civera, Davison, Montiel 2008, section V)
+
+
+class MapManager:
+    """Takes in landmarks where the image has too few, and drops those that are of no use.
+
+    Args:
+        camera: Undistorted.
+        settings: Size of the map, noise of a pixel, spread of depths.
+        finder: Told of all that begin and end.
+    """
+
+    def __init__(self, camera: Camera, settings: SlamSettings, finder: LandmarkFinder) -> None:
+        self.camera = camera
+        self.settings = settings
+        self.finder = finder
+        self.records = Records.none()
+        self._next_id = 0
+        self._share = 1.0  # of the map that a frame measures
+        self._distance = settings.unknown_distance
+
+    def tidied(self, state: State, landmarks: Landmarks) -> State:
+        """Without landmarks out of view and those rarely measured; those known well enough become points.
+
+        Args:
+            state: In the present camera.
+            landmarks: What became of them.
+        """
+        if len(landmarks):
+            self._share += SMOOTHING * (float(landmarks.measured.mean()) - self._share)
+        in_view = landmarks.ids[landmarks.outcome != Outcome.OUT_OF_VIEW]
+        self.records = self.records.counted(in_view, landmarks.ids[landmarks.measured])
+        mine = self.records.of(state.ids)
+        rare = (mine.expected >= TRIALS) & (mine.measured < MIN_SUCCESS * mine.expected)
+        state = state.without(rare | ~np.isin(state.ids, in_view))
+        inverse, _ = state.landmark_covariances()
+        index = linearity_index(state.inverse, np.sqrt(inverse[:, 5, 5]))
+        return state.with_points((index < LINEARITY) & (state.inverse[:, 5] > 0))
+
+    def grown(self, state: State, frame: Frame, points: KnownPoints | None, map_T_camera: gtsam.Pose3) -> State:
+        """With as many landmarks that begin at this frame, away from those that exist, as the next frame may lack.
+
+        Args:
+            state: In the present camera.
+            frame: The present image.
+            points: What they are chosen from, with their depths; without it, they are corners as far away as the
+                landmarks around them.
+            map_T_camera: For the finder.
+        """
+        here = state.positions()
+        taken = self.camera.project(here)
+        taken = taken[self.camera.contains(taken)]
+        if len(here):
+            self._distance = float(np.median(np.linalg.norm(here, axis=1)))
+        # Some landmarks of the map will leave the view or not be found.
+        wanted = math.ceil(self.settings.min_landmarks / max(self._share, LEAST_SHARE)) - len(state)
+        if wanted > 0 and frame.image is not None:
+            candidates = self.finder.candidates(frame, taken) if points is None else points.pixels
+            inside = np.flatnonzero(self.camera.contains(candidates, MARGIN))
+            chosen = inside[spread_out(candidates[inside], taken, wanted)]
+            if len(chosen):
+                known = None if points is None else points[chosen]
+                state = self._begin(state, frame, candidates[chosen], known, map_T_camera)
+        self.records = self.records.of(np.sort(state.ids))
+        self.finder.forget(self.records.ids)
+        return state
+
+    def begun_at(self, state: State, frame: Frame) -> Landmarks:
+        """The landmarks that begin at this frame."""
+        ages = frame.index - self.records.of(state.ids).born
+        new = ages == 0
+        points, covariances = state.positions(), state.position_covariances()
+        pixels = self.camera.project(points)[new]
+        ellipses = np.tile(self.settings.pixel_sigma**2 * np.eye(2), (len(pixels), 1, 1))
+        outcome = np.full(len(pixels), Outcome.NEW)
+        return Landmarks(state.ids[new], outcome, pixels, ellipses, pixels, points[new], covariances[new], ages[new])
+
+    def _begin(
+        self, state: State, frame: Frame, pixels: Array, points: KnownPoints | None, map_T_camera: gtsam.Pose3
+    ) -> State:
+        size, spread = len(state.covariance), self.settings.depth_spread
+        if points is not None:
+            prior = known_depths(points, self.camera, size)
+        else:
+            prior = depths_from_map(state, pixels, self.camera, spread) or equal_depths(
+                len(pixels), self._distance, spread, size
+            )
+        ids = self._next_id + np.arange(len(pixels))
+        self._next_id += len(pixels)
+        state = with_new_landmarks(state, ids, pixels, prior, self.camera, self.settings.pixel_sigma)
+        self.records = self.records.begun(ids, frame.index)
+        self.finder.remember(frame, ids, pixels, map_T_camera)
+        return state
+
+
+def spread_out(candidates: Array, taken: Array, count: int) -> NDArray[np.intp]:
+    """Rows of up to `count` candidates (N, 2), each as far as possible from those `taken` (M, 2) and from each other."""
+    gap = np.linalg.norm(candidates[:, None] - taken, axis=2).min(axis=1, initial=np.inf)
+    chosen: list[int] = []
+    for _ in range(min(count, len(candidates))):
+        farthest = int(np.argmax(gap))
+        if gap[farthest] < SPACING:
+            break
+        chosen.append(farthest)
+        gap = np.minimum(gap, np.linalg.norm(candidates - candidates[farthest], axis=1))
+    return np.array(chosen, np.intp)

@@ -1,0 +1,155 @@
+"""Where landmarks are expected in the next image, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.slam.landmarks import Array, hat, scaled_points
+from fvslam_graph.slam.motion import travelled
+from fvslam_graph.slam.state import State, sparse_rows, symmetric
+
+MAX_ITERATIONS = 10
+CONVERGED = 0.1  # of a pixel's deviation; less change of the expected pixels ends the iteration
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where N landmarks are expected.
+
+    Attributes:
+        pixels: (N, 2); of no meaning where `in_front` is False.
+        in_front: (N,) bool, of the camera.
+        by_inverse: (M, 2, 12) Jacobian of those of landmarks in inverse depth by `State.columns`.
+        by_point: (L, 2, 9) of those of points.
+        columns: (M, 12) and (L, 9), the columns of these blocks.
+        width: n, of the error state.
+    """
+
+    pixels: Array
+    in_front: NDArray[np.bool_]
+    by_inverse: Array
+    by_point: Array
+    columns: tuple[NDArray[np.intp], NDArray[np.intp]]
+    width: int
+
+    def jacobian(self, chosen: NDArray[np.bool_]) -> scipy.sparse.csr_array:
+        """The Jacobian (2K, n) of the K chosen landmarks, (N,), by the error state."""
+        first, second = np.split(chosen, [len(self.by_inverse)])
+        blocks = [(self.by_inverse[first], self.columns[0][first]), (self.by_point[second], self.columns[1][second])]
+        return sparse_rows(blocks, self.width)
+
+    def landmark_spread(self, state: State) -> Array:
+        """(N, 2, 2) covariance of each pixel as far as the landmark's own uncertainty goes, pixels^2."""
+        inverse, points = state.landmark_covariances()
+        first, second = self.by_inverse[:, :, 6:], self.by_point[:, :, 6:]
+        return np.concatenate([first @ inverse @ first.mT, second @ points @ second.mT])
+
+    def innovation_covariances(self, state: State, chosen: NDArray[np.bool_], sigma: float) -> Array:
+        """(K, 2, 2) of each chosen pixel on its own, with the deviation `sigma` of a match, pixels^2."""
+        jacobian = self.jacobian(chosen)
+        product = (jacobian @ state.covariance).reshape(-1, 2, self.width)
+        spread: Array = product @ jacobian.toarray().reshape(product.shape).mT + sigma**2 * np.eye(2)
+        return (spread + spread.mT) / 2
+
+
+def project(state: State, prev_T_cur: gtsam.Pose3, camera: Camera) -> tuple[Array, Array]:
+    """Pixels (N, 2) of all landmarks in a camera that moved, and their depths (N,), positive in front of it.
+
+    The depths are in metres for points, and times the inverse depth for the others.
+    """
+    scaled, weights, _ = _homogeneous(state)
+    return _project(scaled, weights, prev_T_cur, camera)[:2]
+
+
+def predict_pixels(state: State, seconds: float, camera: Camera) -> Prediction:
+    """Pixels of all landmarks after the step that the state's velocity says, with their Jacobian."""
+    prev_T_cur, by_velocity = travelled(state.velocity, seconds)
+    rotation, translation = prev_T_cur.rotation().matrix(), prev_T_cur.translation()
+    scaled, weights, by_scaled = _homogeneous(state)
+    pixels, depths, seen = _project(scaled, weights, prev_T_cur, camera)
+
+    depth = np.where(depths > 0, depths, 1.0)
+    by_seen = np.zeros((len(seen), 2, 3))
+    by_seen[:, 0, 0], by_seen[:, 1, 1] = camera.fx / depth, camera.fy / depth
+    by_seen[:, 0, 2], by_seen[:, 1, 2] = -camera.fx * seen[:, 0] / depth**2, -camera.fy * seen[:, 1] / depth**2
+    # A pose perturbed by (w, v) on the right sees the point y with weight r at y + [y]x w - r v.
+    seen_by_motion = np.concatenate([hat(seen), -weights[:, None, None] * np.eye(3)], axis=2)
+    by_velocity = by_seen @ (seen_by_motion @ by_velocity)
+
+    split = len(state.inverse)
+    by_scaled[:, :, 5] -= translation  # the weight is the inverse depth
+    by_inverse, by_point = by_seen[:split] @ rotation.T @ by_scaled, by_seen[split:] @ rotation.T
+    return Prediction(
+        pixels,
+        depths > 0,
+        np.concatenate([by_velocity[:split], by_inverse], axis=2),
+        np.concatenate([by_velocity[split:], by_point], axis=2),
+        state.columns,
+        len(state.covariance),
+    )
+
+
+def _homogeneous(state: State) -> tuple[Array, Array, Array]:
+    """All landmarks as points times a weight, (N, 3) and (N,), and the Jacobian of those in inverse depth (M, 3, 6)."""
+    scaled, by_inverse = scaled_points(state.inverse)
+    weights = np.concatenate([state.inverse[:, 5], np.ones(len(state.points))])
+    return np.vstack([scaled, state.points]), weights, by_inverse
+
+
+def _project(scaled: Array, weights: Array, prev_T_cur: gtsam.Pose3, camera: Camera) -> tuple[Array, Array, Array]:
+    """Pixels (N, 2), depths (N,) and the scaled points in the current camera (N, 3)."""
+    seen = (scaled - weights[:, None] * prev_T_cur.translation()) @ prev_T_cur.rotation().matrix()
+    depth = np.where(seen[:, 2] > 0, seen[:, 2], 1.0)
+    return seen[:, :2] / depth[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy), seen[:, 2], seen
+
+
+def update(
+    state: State,
+    prediction: Prediction,
+    chosen: NDArray[np.bool_],
+    pixels: Array,
+    seconds: float,
+    camera: Camera,
+    sigma: float,
+) -> tuple[State, Prediction]:
+    """The iterated EKF update (Bar-Shalom, Li, Kirubarajan 2001, section 10.5.2) with matched landmarks.
+
+    With S = L L^T and Y = L^-1 H P, the covariance becomes P - Y^T Y, which is symmetric to the bit.
+
+    Args:
+        state: Predicted, or updated with other matches.
+        prediction: Of this state.
+        chosen: (N,) which of the landmarks are measured.
+        pixels: (N, 2) where they were matched.
+        seconds: Since the previous frame.
+        camera: Undistorted.
+        sigma: Of a matched pixel along each axis.
+
+    Returns:
+        The updated state, and its own prediction.
+    """
+    if not chosen.any():
+        return state, prediction
+    origin, error = state, np.zeros(len(state.covariance))
+    for _ in range(MAX_ITERATIONS):
+        jacobian, expected = prediction.jacobian(chosen), prediction.pixels
+        product = jacobian @ origin.covariance
+        spread = symmetric(jacobian @ product.T) + sigma**2 * np.eye(len(product))
+        innovation = (pixels - expected)[chosen].ravel() + jacobian @ error
+        whitened = scipy.linalg.solve_triangular(
+            np.linalg.cholesky(spread), np.column_stack([product, innovation]), lower=True, check_finite=False
+        )
+        gain, residual = whitened[:, :-1], whitened[:, -1]
+        error = gain.T @ residual
+        state = origin.moved(error)
+        prediction = predict_pixels(state, seconds, camera)
+        if np.abs(prediction.pixels - expected)[chosen].max() < CONVERGED * sigma:
+            break
+    return replace(state, covariance=symmetric(origin.covariance - gain.T @ gain)), prediction

@@ -1,0 +1,93 @@
+"""How the camera moves: prediction by constant velocity or by visual odometry, and the step into the new camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from fvslam_graph.config import SlamSettings
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.slam.landmarks import Array, hat, seen_from
+from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State, sparse_rows, symmetric, transformed
+
+
+def predict_constant_velocity(state: State, seconds: float, settings: SlamSettings) -> State:
+    """The velocity of the next step: that of the last one, driven by white noise.
+
+    The variance grows with the time, so that it does not depend on the frame rate (Bar-Shalom, Li, Kirubarajan 2001,
+    section 6.2.2: the noise has a power spectral density, in m^2/s^3 and rad^2/s^3).
+    """
+    densities = np.repeat([settings.angular_noise, settings.linear_noise], 3) ** 2
+    covariance = state.covariance.copy()
+    covariance[VELOCITY, VELOCITY] += np.diag(densities * seconds)
+    return replace(state, covariance=covariance)
+
+
+def predict_from_odometry(state: State, prev_T_cur: GaussianPose, seconds: float) -> State:
+    """The velocity of the next step: what visual odometry measured over it (Alcantarilla et al. 2010)."""
+    velocity = gtsam.Pose3.Logmap(prev_T_cur.mean) / seconds
+    by_motion = gtsam.Pose3.LogmapDerivative(prev_T_cur.mean) / seconds
+    # Odometry is metric: in units of the map, it is as uncertain as these.
+    change = np.eye(len(state.covariance))
+    change[VELOCITY] = 0.0
+    change[VELOCITY, SCALE] = -velocity * (0, 0, 0, 1, 1, 1)
+    whole = change @ state.covariance @ change.T
+    whole[VELOCITY, VELOCITY] += by_motion @ prev_T_cur.covariance @ by_motion.T
+    return replace(state, velocity=velocity, covariance=symmetric(whole))
+
+
+def travelled(velocity: Array, seconds: float) -> tuple[gtsam.Pose3, Array]:
+    """prev_T_cur of a velocity (6,) over a time, and the Jacobian (6, 6) of its right perturbation by the velocity."""
+    twist = velocity * seconds
+    return gtsam.Pose3.Expmap(twist), gtsam.Pose3.ExpmapDerivative(twist) * seconds
+
+
+def compose(state: State, seconds: float) -> State:
+    """The state as seen from the camera after its step: pose, landmarks and all covariances move along."""
+    prev_T_cur, by_velocity = travelled(state.velocity, seconds)
+    rotation, translation = prev_T_cur.rotation().matrix(), prev_T_cur.translation()
+    inverse, inverse_by_motion, inverse_by_inverse = seen_from(state.inverse, rotation, translation)
+    points = (state.points - translation) @ rotation
+    points_by_motion = np.concatenate([hat(points), np.broadcast_to(-np.eye(3), (len(points), 3, 3))], axis=2)
+    points_by_points = np.broadcast_to(rotation.T, (len(points), 3, 3))
+
+    inverse_columns, point_columns = state.columns
+    fixed = np.arange(FIXED)[None]
+    by_scale = np.concatenate([np.zeros(3), translation @ rotation])[:, None]
+    change = sparse_rows(
+        [
+            (np.hstack([prev_T_cur.inverse().AdjointMap(), by_scale, by_velocity])[None], fixed),
+            (np.eye(FIXED)[None, SCALE:], fixed),
+            (np.concatenate([inverse_by_motion @ by_velocity, inverse_by_inverse], axis=2), inverse_columns),
+            (np.concatenate([points_by_motion @ by_velocity, points_by_points], axis=2), point_columns),
+        ],
+        width=len(state.covariance),
+    )
+    return replace(
+        state,
+        world_T_camera=state.world_T_camera.compose(prev_T_cur),
+        inverse=inverse,
+        points=points,
+        covariance=transformed(state.covariance, change),
+    )
+
+
+def last_motion(state: State, seconds: float) -> GaussianPose:
+    """prev_T_cur of the step that the state has made."""
+    prev_T_cur, by_velocity = travelled(state.velocity, seconds)
+    by_scale = np.concatenate([np.zeros(3), prev_T_cur.rotation().unrotate(prev_T_cur.translation())])
+    jacobian = np.column_stack([by_scale, by_velocity])
+    return GaussianPose(prev_T_cur, symmetric(jacobian @ state.covariance[SCALE:FIXED, SCALE:FIXED] @ jacobian.T))
+
+
+def reanchored(state: State, pose: GaussianPose) -> State:
+    """The camera at another pose world_T_camera: the map, expressed in the camera, is not touched.
+
+    How the new pose's error relates to the map's is not known, so that the two are taken as independent.
+    """
+    whole = state.covariance.copy()
+    whole[POSE], whole[:, POSE] = 0.0, 0.0
+    whole[POSE, POSE] = pose.covariance
+    return replace(state, world_T_camera=pose.mean, covariance=whole)

@@ -1,0 +1,224 @@
+"""EKF visual SLAM: the camera's pose among landmarks, frame by frame."""
+
+from __future__ import annotations
+
+import math
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.config import SlamSettings
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.features.known_points import KnownPoints
+from fvslam_graph.features.patches import MARGIN
+from fvslam_graph.sequences.base import Frame
+from fvslam_graph.slam.estimate import Landmarks, Outcome, SlamEstimate
+from fvslam_graph.slam.finder import LandmarkFinder, Search
+from fvslam_graph.slam.landmarks import Array
+from fvslam_graph.slam.map_management import MapManager
+from fvslam_graph.slam.measurement import Prediction, predict_pixels, update
+from fvslam_graph.slam.motion import (
+    compose,
+    last_motion,
+    predict_constant_velocity,
+    predict_from_odometry,
+    reanchored,
+    travelled,
+)
+from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
+from fvslam_graph.slam.state import POSE, SCALE, State
+from fvslam_graph.stopwatch import Stopwatch
+from fvslam_graph.trajectory import Status
+
+PATIENCE = 3  # images in a row without enough matches before the map is rebuilt
+RESCUE_GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
+
+
+class VSlam:
+    """Monocular EKF SLAM with a camera-centred state and landmarks in inverse depth.
+
+    Source: Davison, "Real-time simultaneous localisation and mapping with a single camera", ICCV 2003; Civera, Grasa,
+    Davison, Montiel 2010.
+
+    Args:
+        camera: Of the rectified images.
+        settings: Noise, thresholds, size of the map.
+        finder: Finds landmarks in the images.
+        rng: Of the run.
+    """
+
+    def __init__(
+        self, camera: Camera, settings: SlamSettings, finder: LandmarkFinder, rng: np.random.Generator
+    ) -> None:
+        self.camera = camera
+        self.settings = settings
+        self.finder = finder
+        self._rng = rng
+        self._map = MapManager(camera, settings, finder)
+        self._stopwatch = Stopwatch()
+        self._state: State | None = None
+        self._map_T_camera = gtsam.Pose3()  # the motions as they were estimated, without the re-anchoring
+        self.index, self._stamp = 0, math.nan  # of the last step
+        self._failures = 0  # usable images in a row that did not fit the map
+
+    @property
+    def started(self) -> bool:
+        """Whether `start` was called."""
+        return self._state is not None
+
+    def start(
+        self, frame: Frame, pose: GaussianPose, prev_T_cur: GaussianPose, seconds: float, points: KnownPoints
+    ) -> SlamEstimate:
+        """Begin with landmarks among points of known depth.
+
+        Args:
+            frame: The first frame.
+            pose: world_T_camera of this frame.
+            prev_T_cur: The motion that led there, which tells the velocity,
+            seconds: and the time that it took.
+            points: Of this frame.
+        """
+        self._stopwatch = Stopwatch()
+        self.index, self._stamp = frame.index, frame.stamp
+        state = predict_from_odometry(State.at(pose.mean, pose.covariance), prev_T_cur, seconds)
+        state = self._map.grown(state, frame, points, self._map_T_camera)
+        return self._arrive(frame, state, Landmarks.none(), Status.TRACKED)
+
+    def step(
+        self, frame: Frame, odometry: GaussianPose | None = None, points: KnownPoints | None = None
+    ) -> SlamEstimate:
+        """Estimate the pose of the next frame, after `start`; frames come in the order of their stamps.
+
+        Args:
+            frame: The next frame.
+            odometry: Motion prev_T_cur since the last step; without it, the velocity stays what it was, up to noise.
+            points: What can become landmarks, with their depths; without them, corners of unknown depth.
+        """
+        assert self._state is not None, "start comes first"
+        self._stopwatch = Stopwatch()
+        seconds, sigma = frame.stamp - self._stamp, self.settings.pixel_sigma
+
+        # Predict the motion, and where it leads the landmarks to.
+        with self._stopwatch.stage("filter"):
+            if odometry is None:
+                state = predict_constant_velocity(self._state, seconds, self.settings)
+            else:
+                state = predict_from_odometry(self._state, odometry, seconds)
+            prediction = predict_pixels(state, seconds, self.camera)
+            visible = prediction.in_front & self.camera.contains(prediction.pixels, MARGIN)
+            ellipses = prediction.innovation_covariances(state, np.ones(len(state), bool), sigma)
+
+        # Look for each landmark inside its ellipse.
+        with self._stopwatch.stage("search"):
+            pixels, found = self._search(frame, state, seconds, prediction.pixels, ellipses, visible)
+
+        with self._stopwatch.stage("filter"):
+            # Low-innovation inliers update the state first, so that high-innovation inliers differ from outliers.
+            threshold = self.settings.ransac_threshold
+            inliers = low_innovation_inliers(
+                state, prediction, pixels, found, seconds, self.camera, sigma, threshold, self._rng
+            )
+            rescued = np.zeros(len(found), bool)
+            lost = inliers.sum() < self.settings.min_matches
+            if not lost:
+                state, updated = update(state, prediction, inliers, pixels, seconds, self.camera, sigma)
+                rescued = self._agree(state, updated, pixels, found & ~inliers)
+                state, _ = update(state, updated, rescued, pixels, seconds, self.camera, sigma)
+
+            # Step into the new camera.
+            prev_T_cur, _ = travelled(state.velocity, seconds)
+            self._map_T_camera = self._map_T_camera.compose(prev_T_cur)
+            state = compose(state, seconds)
+
+        # Drop and begin landmarks.
+        with self._stopwatch.stage("map"):
+            outcome = np.where(found, Outcome.REJECTED, np.where(visible, Outcome.UNMATCHED, Outcome.OUT_OF_VIEW))
+            if not lost:
+                outcome[inliers], outcome[rescued] = Outcome.INLIER, Outcome.RESCUED
+            landmarks = Landmarks(
+                ids=state.ids,
+                outcome=outcome,
+                expected=prediction.pixels,
+                ellipses=ellipses,
+                pixels=np.where(found[:, None], pixels, np.nan),
+                **self._positions(state, frame),
+            )
+            status = self._judge(frame, lost)
+            state = self._brought_up_to_date(state, frame, landmarks, status, points)
+        return self._arrive(frame, state, landmarks, status)
+
+    def rebase(self, pose: GaussianPose) -> None:
+        """Go on from another pose world_T_camera; the map in the camera stays as it is."""
+        assert self._state is not None, "start comes first"
+        self._state = reanchored(self._state, pose)
+
+    def _search(
+        self,
+        frame: Frame,
+        state: State,
+        seconds: float,
+        expected: Array,
+        ellipses: Array,
+        visible: NDArray[np.bool_],
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Pixels (N, 2) of all landmarks, and which were found (N,)."""
+        pixels, found = expected.copy(), np.zeros(len(expected), bool)
+        if frame.image is not None and visible.any():
+            prev_T_cur, _ = travelled(state.velocity, seconds)
+            map_T_camera = self._map_T_camera.compose(prev_T_cur)
+            points = (state.positions()[visible] - prev_T_cur.translation()) @ prev_T_cur.rotation().matrix()
+            search = Search(state.ids[visible], expected[visible], ellipses[visible], points, map_T_camera)
+            pixels[visible], found[visible] = self.finder.find(frame, search)
+        return pixels, found
+
+    def _agree(self, state: State, prediction: Prediction, pixels: Array, rest: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which of the rest (N,) lie within what the updated state predicts."""
+        agree = rest & prediction.in_front
+        innovation = (pixels - prediction.pixels)[agree]
+        spread = prediction.innovation_covariances(state, agree, self.settings.pixel_sigma)
+        distance = (innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]).sum(axis=1)
+        agree[agree] = distance < RESCUE_GATE
+        return agree
+
+    def _judge(self, frame: Frame, lost: bool) -> Status:
+        """A bad image is passed over; after some that do not fit the map, it is given up."""
+        if frame.image is None:
+            return Status.SKIPPED
+        self._failures = self._failures + 1 if lost else 0
+        if not lost:
+            return Status.TRACKED
+        return Status.COASTED if self._failures < PATIENCE else Status.REINITIALISED
+
+    def _brought_up_to_date(
+        self, state: State, frame: Frame, landmarks: Landmarks, status: Status, points: KnownPoints | None
+    ) -> State:
+        """The state with its map as the next frame needs it."""
+        if status is Status.TRACKED:
+            state = self._map.tidied(state, landmarks)
+        elif status is Status.REINITIALISED:
+            state = state.without(np.ones(len(state), bool))
+        else:
+            return state
+        return self._map.grown(state, frame, points, self._map_T_camera)
+
+    def _positions(self, state: State, frame: Frame) -> dict[str, NDArray[np.generic]]:
+        ages = frame.index - self._map.records.of(state.ids).born
+        return {"points": state.positions(), "covariances": state.position_covariances(), "ages": ages}
+
+    def _arrive(self, frame: Frame, state: State, landmarks: Landmarks, status: Status) -> SlamEstimate:
+        """Take over the state in the new camera, and say what it is."""
+        self._state = state = state.with_scale_apart()
+        previous, self.index = self.index, frame.index
+        seconds, self._stamp = frame.stamp - self._stamp, frame.stamp
+        return SlamEstimate(
+            index=frame.index,
+            previous=previous,
+            pose=GaussianPose(state.world_T_camera, state.covariance[POSE, POSE]),
+            prev_T_cur=last_motion(state, seconds),
+            status=status,
+            landmarks=landmarks + self._map.begun_at(state, frame),
+            scale_sigma=math.sqrt(state.covariance[SCALE, SCALE]),
+            times=self._stopwatch.times,
+        )

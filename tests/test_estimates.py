@@ -1,0 +1,45 @@
+"""Poses with covariances."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.estimates import GaussianPose
+
+
+def some_covariance(seed: int, size: float) -> np.ndarray:
+    mixing = size * np.random.default_rng(seed).standard_normal((6, 6))
+    return mixing @ mixing.T
+
+
+def test_compose_covariance_by_finite_differences():
+    a_T_b = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.5, -0.4, 1.0])), np.array([3.0, -2.0, 1.0]))
+    b_T_c = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([-0.3, 0.8, 0.2])), np.array([1.0, 5.0, -2.0]))
+    a_T_c = a_T_b.compose(b_T_c)
+    first, second = some_covariance(0, 0.1), some_covariance(1, 0.05)
+
+    def change(at_b: np.ndarray, at_c: np.ndarray) -> np.ndarray:
+        moved = a_T_b.compose(gtsam.Pose3.Expmap(at_b)).compose(b_T_c.compose(gtsam.Pose3.Expmap(at_c)))
+        return gtsam.Pose3.Logmap(a_T_c.between(moved))
+
+    step, none = 1e-6, np.zeros(6)
+    by_b = np.column_stack([(change(step * e, none) - change(-step * e, none)) / (2 * step) for e in np.eye(6)])
+    by_c = np.column_stack([(change(none, step * e) - change(none, -step * e)) / (2 * step) for e in np.eye(6)])
+    expected = by_b @ first @ by_b.T + by_c @ second @ by_c.T
+    composed = GaussianPose(a_T_b, first).compose(GaussianPose(b_T_c, second))
+    assert composed.mean.equals(a_T_c, 1e-12)
+    assert composed.covariance == pytest.approx(expected, rel=1e-6, abs=1e-8)
+    assert np.array_equal(composed.covariance, composed.covariance.T)
+
+
+def test_without_a_step_nothing_changes():
+    pose = GaussianPose(gtsam.Pose3.Expmap(np.arange(6.0)), some_covariance(2, 1.0))
+    assert pose.compose(GaussianPose.identity()).covariance == pytest.approx(pose.covariance)
+
+
+def test_inverse():
+    pose = GaussianPose(gtsam.Pose3.Expmap(0.3 * np.arange(6.0)), some_covariance(3, 1.0))
+    inverse, change = pose.inverse(), 1e-6 * np.eye(6)
+    by_pose = np.column_stack([inverse.mean.localCoordinates(pose.mean.retract(e).inverse()) for e in change]) / 1e-6
+    assert inverse.covariance == pytest.approx(by_pose @ pose.covariance @ by_pose.T, rel=1e-5, abs=1e-5)
+    assert inverse.inverse().covariance == pytest.approx(pose.covariance)
