@@ -18,8 +18,10 @@ from fvslam_graph.slam.estimate import Outcome, SlamEstimate
 from fvslam_graph.slam.patch_finder import PatchFinder
 from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.stopwatch import Stopwatch
+from fvslam_graph.trajectory import Status
 from fvslam_graph.vo.estimate import VoEstimate
 from fvslam_graph.vo.odometry import VisualOdometry
+from fvslam_graph.vo.scale import VAGUE
 
 VO_STAGES = ("association", "pose", "scale", "detection")
 SLAM_STAGES = ("filter", "search", "map")
@@ -53,7 +55,7 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
         if config.mode is not Mode.VO:
             if odometry is not None and not vslam.started:
                 seconds = frame.stamp - float(sequence.stamps[odometry.previous])
-                if seconds > 0 and len(odometry.points) >= config.slam.min_landmarks:
+                if seconds > 0 and _can_start(odometry, config):
                     pose = reference.compose(chain.motion)
                     slam = vslam.start(frame, pose, odometry.prev_T_cur, seconds, odometry.points)
             elif index - vslam.index >= config.interleave:
@@ -62,11 +64,10 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
             reference = slam.pose
             chain.anchor()
 
-        times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
-        for part in filter(None, (odometry, slam)):
-            times |= part.times
         latest = slam or odometry
         assert latest is not None
+        times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
+        times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
         yield FrameResult(
             index=index,
             stamp=frame.stamp,
@@ -76,8 +77,15 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
             relative=latest.prev_T_cur,
             measures=_measures(config, odometry, slam),
             times=times,
-            landmarks=None if slam is None else slam.landmarks,
+            slam=slam,
         )
+
+
+def _can_start(odometry: VoEstimate, config: Config) -> bool:
+    """Whether visual odometry knows enough points for visual SLAM to begin with, and the scale source has spoken."""
+    relative = config.scale.source in (ScaleSource.MAP, ScaleSource.UNIT)
+    known = odometry.points.log_variance < VAGUE or relative
+    return odometry.status is Status.TRACKED and known and len(odometry.points) >= config.slam.min_landmarks
 
 
 def applicable(config: Config, sequence: Sequence) -> Config:
@@ -137,7 +145,7 @@ def _measures(config: Config, odometry: VoEstimate | None, slam: SlamEstimate | 
     }
     if config.mode is Mode.VO:
         return measures
-    outcomes = np.bincount(slam.landmarks.outcome, minlength=len(Outcome)) if slam else np.full(len(Outcome), math.nan)
+    outcomes = np.bincount(slam.searched.outcome, minlength=len(Outcome)) if slam else np.full(len(Outcome), math.nan)
     searched = outcomes[[Outcome.UNMATCHED, Outcome.REJECTED, Outcome.INLIER, Outcome.RESCUED]].sum()
     return measures | {
         "landmarks": float(searched),

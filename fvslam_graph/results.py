@@ -25,7 +25,7 @@ from fvslam_graph.errors import ResultsError
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.files import replacing, write_json, writing
 from fvslam_graph.provenance import peak_memory_mb, provenance
-from fvslam_graph.slam.estimate import Landmarks
+from fvslam_graph.slam.estimate import SlamEstimate
 from fvslam_graph.trajectory import Status, Trajectory, kitti_line, tum_line
 
 ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
@@ -55,7 +55,7 @@ class FrameResult:
         relative: prev_T_cur.
         measures: Columns of frames.csv, such as tracks, inliers, scale (m per unit baseline), scale_sigma.
         times: Milliseconds by stage. Measures and stages have the same names in every frame of a run.
-        landmarks: Of the map, where visual SLAM ran on this frame.
+        slam: What visual SLAM says, where it ran on this frame.
     """
 
     index: int
@@ -66,7 +66,7 @@ class FrameResult:
     relative: GaussianPose
     measures: Mapping[str, float]
     times: Mapping[str, float]
-    landmarks: Landmarks | None = None
+    slam: SlamEstimate | None = None
 
 
 @dataclass(frozen=True)

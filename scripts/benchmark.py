@@ -1,4 +1,4 @@
-"""How long visual odometry takes on a sequence: milliseconds per frame by stage, frames per second, peak memory.
+"""How long an estimator takes on a sequence: milliseconds per frame by stage, frames per second, peak memory.
 
 The first frames warm caches up and are left out. Times of several repetitions are pooled.
 """
@@ -21,7 +21,7 @@ from rich.table import Table
 from fvslam_graph.config import Config, load_config
 from fvslam_graph.errors import FvslamError
 from fvslam_graph.files import writing
-from fvslam_graph.pipeline import STAGES, applicable, estimate
+from fvslam_graph.pipeline import applicable, estimate, stages
 from fvslam_graph.provenance import peak_memory_mb
 from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.opening import open_sequence
@@ -34,6 +34,7 @@ TOTALS = ("without reading", "with reading")
 def benchmark(
     path: Annotated[str, typer.Argument(help="As for `fvslam run`.")],
     preset: Annotated[str, typer.Option(help="paper or tuned.")] = "tuned",
+    settings: Annotated[list[str] | None, typer.Option("--set", help="One setting, e.g. mode=vslam.")] = None,
     frames: Annotated[str | None, typer.Option(help="Part of the sequence, START:STOP.", metavar="A:B")] = None,
     repeat: Annotated[int, typer.Option(help="How often the sequence is run.", min=1)] = 1,
     csv_file: Annotated[Path | None, typer.Option("--csv", help="Write the table to this file, too.")] = None,
@@ -42,12 +43,13 @@ def benchmark(
     sequence = open_sequence(path, frames=frames)
     if len(sequence) <= WARM_UP:
         raise FvslamError(f"{sequence.name} has {len(sequence)} frames, but the first {WARM_UP} only warm up")
-    config = applicable(load_config(preset), sequence)
-    rows = summarise(np.concatenate([measure(sequence, config) for _ in range(repeat)]))
+    config = applicable(load_config(preset, settings=settings or []), sequence)
+    rows = summarise(stages(config), np.concatenate([measure(sequence, config) for _ in range(repeat)]))
 
     camera = sequence.camera
     table = Table(
-        title=f"{sequence.name}, {camera.width}x{camera.height}, preset {preset}, scale by {config.scale.source}",
+        title=f"{sequence.name}, {camera.width}x{camera.height}, mode {config.mode}, preset {preset}, "
+        f"scale by {config.scale.source}",
         caption=f"{len(sequence) - WARM_UP} frames after {WARM_UP} of warm-up, {repeat} x, {os.cpu_count()} cores; "
         f"peak memory {peak_memory_mb():.0f} MB",
     )
@@ -69,16 +71,16 @@ def measure(sequence: Sequence, config: Config) -> NDArray[np.float64]:
     last = time.perf_counter()
     for result in estimate(sequence, config):
         now = time.perf_counter()
-        times.append([*(result.times[stage] for stage in STAGES), 1e3 * (now - last)])
+        times.append([*(result.times[stage] for stage in stages(config)), 1e3 * (now - last)])
         last = time.perf_counter()
     return np.array(times[WARM_UP:])
 
 
-def summarise(times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+def summarise(names: tuple[str, ...], times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """Median, mean and 95th percentile by stage, of what is in no stage, and of frames without and with reading."""
-    *stages, total = times.T
-    columns = dict(zip(STAGES, stages, strict=True))
-    columns |= {"other": total - sum(stages), TOTALS[0]: total - columns["read"], TOTALS[1]: total}
+    *parts, total = times.T
+    columns = dict(zip(names, parts, strict=True))
+    columns |= {"other": total - sum(parts), TOTALS[0]: total - columns["read"], TOTALS[1]: total}
     return {
         stage: np.array([np.median(column), column.mean(), np.percentile(column, 95)])
         for stage, column in columns.items()

@@ -33,9 +33,10 @@ def run_seed(world: str, seed: int, preset: str, settings: list[str]) -> NDArray
         if result.status is not Status.TRACKED:
             continue
         true_relative = truth.poses[result.previous].between(truth.poses[result.index])
-        error = gtsam.Pose3.Logmap(result.relative.between(true_relative))
+        error = gtsam.Pose3.Logmap(result.relative.mean.between(true_relative))
+        covariance = result.relative.covariance
         for column, part in enumerate(PARTS.values()):
-            values[result.index, column] = error[part] @ np.linalg.solve(result.covariance[part, part], error[part])
+            values[result.index, column] = error[part] @ np.linalg.solve(covariance[part, part], error[part])
     return values
 
 

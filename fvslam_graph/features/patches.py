@@ -16,7 +16,8 @@ COARSE = 11  # pixels, odd side of a patch in the image halved
 SIDE = 2 * COARSE  # pixels, its side in the image itself; its middle lies between pixels
 MARGIN = COARSE + 1  # pixels from the rim of the image within which no patch fits
 _OFFSETS = np.arange(SIDE) - (SIDE - 1) / 2
-_ITERATIONS = 4  # of the alignment
+_ITERATIONS = 3  # of the alignment
+_LEAST_TEXTURE = np.float32(1e-4)  # added to what an aligned patch tells, so that a flat one stays where it is
 
 
 def cut_tiles(image: Image, pixels: Array) -> NDArray[np.uint8]:
@@ -25,7 +26,8 @@ def cut_tiles(image: Image, pixels: Array) -> NDArray[np.uint8]:
     column, row = np.rint(pixels).astype(np.intp).T
     rows = np.clip(row[:, None] + offset, 0, image.shape[0] - 1)
     columns = np.clip(column[:, None] + offset, 0, image.shape[1] - 1)
-    return image[rows[:, :, None], columns[:, None, :]]
+    tiles: NDArray[np.uint8] = image[rows[:, :, None], columns[:, None, :]]
+    return tiles
 
 
 def view_change(anchor_T_camera: Array, points: Array, camera: Camera) -> Array:
@@ -50,7 +52,7 @@ def view_change(anchor_T_camera: Array, points: Array, camera: Camera) -> Array:
     by_seen[:, :, 2] = -seen[:, :2] / seen[:, 2:] ** 2
     change = focal[:, None] * (by_seen @ forward[:, :, :2]) / focal
     determinant = np.linalg.det(change)
-    inverse = np.full_like(change, np.nan)
+    inverse: Array = np.full_like(change, np.nan)
     sound = np.abs(determinant) > 1e-6
     inverse[sound] = np.linalg.inv(change[sound])
     return inverse
@@ -136,20 +138,17 @@ def align(image: Image, patches: Patches, start: Array) -> tuple[Array, Array]:
         (N, 2) pixels, and (N,) the correlation there.
     """
     template = _normalised(patches)
-    by_y, by_x = np.gradient(template, axis=(1, 2))
-    gradient = np.stack([by_x, by_y], axis=-1).reshape(len(patches), -1, 2)
-    gradient -= gradient.mean(axis=1, keepdims=True)
-    flat = template.reshape(len(patches), -1)
-    # Contrast may change too, so that what of the gradient looks like it is of no use.
-    gradient -= flat[:, :, None] * (flat[:, None, :] @ gradient)
-    inverse = np.linalg.pinv(gradient.mT @ gradient, hermitian=True)
-    position = start.copy()
+    by_y, by_x = np.gradient(template.reshape(patches.shape), axis=(1, 2))
+    gradient = np.stack([by_x.reshape(template.shape), by_y.reshape(template.shape)], axis=1)
+    # Brightness and contrast may change too, so that what of the gradient looks like it is of no use.
+    gradient -= gradient.mean(axis=2, keepdims=True)
+    gradient -= (gradient @ template[:, :, None]) * template[:, None, :]
+    steps = np.linalg.inv(gradient @ gradient.mT + _LEAST_TEXTURE * np.eye(2, dtype=np.float32)) @ gradient
+    position = start
     for _ in range(_ITERATIONS):
-        seen = _sample(image, position)
-        error = (_normalised(seen) - template).reshape(len(patches), -1, 1)
-        position = position - (inverse @ (gradient.mT @ error))[:, :, 0]
-    seen = _normalised(_sample(image, position)).reshape(len(patches), -1)
-    return position, (seen * flat).sum(axis=1)
+        error = _normalised(_sample(image, position)) - template
+        position = position - (steps @ error[:, :, None])[:, :, 0]
+    return position, (_normalised(_sample(image, position)) * template).sum(axis=1)
 
 
 def _sample(image: Image, position: Array) -> Patches:
@@ -161,8 +160,9 @@ def _sample(image: Image, position: Array) -> Patches:
     return seen.astype(np.float32).reshape(-1, SIDE, SIDE)
 
 
-def _normalised(patches: Patches) -> Patches:
-    """Of zero mean and unit length."""
-    centred = patches - patches.mean(axis=(1, 2), keepdims=True)
-    unit: Patches = centred / np.maximum(np.linalg.norm(centred, axis=(1, 2), keepdims=True), 1e-3)
+def _normalised(patches: Patches) -> NDArray[np.float32]:
+    """Patches as rows (N, SIDE^2) of zero mean and unit length."""
+    rows = patches.reshape(-1, SIDE * SIDE)
+    rows = rows - rows.mean(axis=1, keepdims=True)
+    unit: NDArray[np.float32] = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.float32(1e-3))
     return unit

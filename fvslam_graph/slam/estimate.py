@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from enum import IntEnum
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +22,11 @@ class Outcome(IntEnum):
     REJECTED = 2  # found, but neither of the following
     INLIER = 3  # low innovation: agrees with the hypothesis of the RANSAC
     RESCUED = 4  # high innovation: agrees with the state that these have updated
-    NEW = 5  # begins at this frame
 
 
 @dataclass(frozen=True)
-class Landmarks:
-    """N landmarks at a frame.
+class Searched:
+    """What became of the N landmarks that were in the map before a frame.
 
     Attributes:
         ids: (N,) the same for the same landmark at all times.
@@ -34,9 +34,6 @@ class Landmarks:
         expected: (N, 2) pixels where they were looked for.
         ellipses: (N, 2, 2) covariance of the innovation, pixels^2.
         pixels: (N, 2) where they were found; NaN where they were not.
-        points: (N, 3) in the camera, after the frame, metres.
-        covariances: (N, 3, 3) of the points.
-        ages: (N,) frames since they began.
     """
 
     ids: NDArray[np.int64]
@@ -44,28 +41,41 @@ class Landmarks:
     expected: Array
     ellipses: Array
     pixels: Array
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @classmethod
+    def none(cls) -> Self:
+        """No landmarks."""
+        ids, pixels = np.empty(0, np.int64), np.empty((0, 2))
+        return cls(ids, ids, pixels, np.empty((0, 2, 2)), pixels)
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(N,) which took part in an update."""
+        measured: NDArray[np.bool_] = self.outcome >= Outcome.INLIER
+        return measured
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """The map after a frame: N landmarks in view, of which some begin there.
+
+    Attributes:
+        ids: (N,) the same for the same landmark at all times.
+        points: (N, 3) in the camera, metres.
+        covariances: (N, 3, 3) of the points, in which they share the uncertainty of the scale.
+        ages: (N,) frames since they began; 0 for those that begin.
+    """
+
+    ids: NDArray[np.int64]
     points: Array
     covariances: Array
     ages: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.ids)
-
-    def __add__(self, other: Landmarks) -> Landmarks:
-        mine, theirs = ([getattr(part, field.name) for field in fields(part)] for part in (self, other))
-        return Landmarks(*(np.concatenate(pair) for pair in zip(mine, theirs, strict=True)))
-
-    @classmethod
-    def none(cls) -> Landmarks:
-        """No landmarks."""
-        ids = np.empty(0, np.int64)
-        pixels, squares = np.empty((0, 2)), np.empty((0, 2, 2))
-        return cls(ids, ids, pixels, squares, pixels, np.empty((0, 3)), np.empty((0, 3, 3)), ids)
-
-    @property
-    def measured(self) -> NDArray[np.bool_]:
-        """(N,) which took part in an update."""
-        return (self.outcome == Outcome.INLIER) | (self.outcome == Outcome.RESCUED)
 
 
 @dataclass(frozen=True)
@@ -78,7 +88,8 @@ class SlamEstimate:
         pose: world_T_camera.
         prev_T_cur: Motion since the step before.
         status: How it came about.
-        landmarks: All that were in the map before the frame, and those that begin at it.
+        searched: What became of the map's landmarks.
+        landmarks: The map from now on.
         scale_sigma: Standard deviation of the logarithm of the scale that the map shares; NaN without landmarks.
         times: Milliseconds by stage.
     """
@@ -88,6 +99,7 @@ class SlamEstimate:
     pose: GaussianPose
     prev_T_cur: GaussianPose
     status: Status
-    landmarks: Landmarks = field(default_factory=Landmarks.none)
-    scale_sigma: float = float("nan")
-    times: dict[str, float] = field(default_factory=dict)
+    searched: Searched
+    landmarks: Landmarks
+    scale_sigma: float
+    times: dict[str, float]

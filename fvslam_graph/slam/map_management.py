@@ -13,7 +13,7 @@ from fvslam_graph.config import SlamSettings
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.patches import MARGIN
 from fvslam_graph.sequences.base import Frame
-from fvslam_graph.slam.estimate import Landmarks, Outcome
+from fvslam_graph.slam.estimate import Outcome, Searched
 from fvslam_graph.slam.finder import LandmarkFinder
 from fvslam_graph.slam.initialisation import depths_from_map, equal_depths, known_depths, with_new_landmarks
 from fvslam_graph.slam.landmarks import Array, linearity_index
@@ -25,6 +25,7 @@ TRIALS = 5  # how often a landmark is looked for before it is judged
 MIN_SUCCESS = 0.5  # share of these in which it has to be measured
 SMOOTHING = 0.2  # weight of the newest frame in the share of landmarks that are measured
 LEAST_SHARE = 0.3  # below, more landmarks would not help
+RIM = 0.1  # of the image's height, in which no landmark begins, as it would soon be out of view
 LINEARITY = 0.1  # index below which a landmark is taken as a point (Civera, Davison, Montiel 2008, section V)
 
 
@@ -46,17 +47,17 @@ class MapManager:
         self._share = 1.0  # of the map that a frame measures
         self._distance = settings.unknown_distance
 
-    def tidied(self, state: State, landmarks: Landmarks) -> State:
+    def tidied(self, state: State, searched: Searched) -> State:
         """Without landmarks out of view and those rarely measured; those known well enough become points.
 
         Args:
             state: In the present camera.
-            landmarks: What became of them.
+            searched: What became of its landmarks.
         """
-        if len(landmarks):
-            self._share += SMOOTHING * (float(landmarks.measured.mean()) - self._share)
-        in_view = landmarks.ids[landmarks.outcome != Outcome.OUT_OF_VIEW]
-        self.records = self.records.counted(in_view, landmarks.ids[landmarks.measured])
+        if len(searched):
+            self._share += SMOOTHING * (float(searched.measured.mean()) - self._share)
+        in_view = searched.ids[searched.outcome != Outcome.OUT_OF_VIEW]
+        self.records = self.records.counted(in_view, searched.ids[searched.measured])
         mine = self.records.of(state.ids)
         rare = (mine.expected >= TRIALS) & (mine.measured < MIN_SUCCESS * mine.expected)
         state = state.without(rare | ~np.isin(state.ids, in_view))
@@ -74,7 +75,7 @@ class MapManager:
                 landmarks around them.
             map_T_camera: For the finder.
         """
-        here = state.positions()
+        here = state.positions
         taken = self.camera.project(here)
         taken = taken[self.camera.contains(taken)]
         if len(here):
@@ -83,7 +84,7 @@ class MapManager:
         wanted = math.ceil(self.settings.min_landmarks / max(self._share, LEAST_SHARE)) - len(state)
         if wanted > 0 and frame.image is not None:
             candidates = self.finder.candidates(frame, taken) if points is None else points.pixels
-            inside = np.flatnonzero(self.camera.contains(candidates, MARGIN))
+            inside = np.flatnonzero(self.camera.contains(candidates, MARGIN + RIM * self.camera.height))
             chosen = inside[spread_out(candidates[inside], taken, wanted)]
             if len(chosen):
                 known = None if points is None else points[chosen]
@@ -92,15 +93,9 @@ class MapManager:
         self.finder.forget(self.records.ids)
         return state
 
-    def begun_at(self, state: State, frame: Frame) -> Landmarks:
-        """The landmarks that begin at this frame."""
-        ages = frame.index - self.records.of(state.ids).born
-        new = ages == 0
-        points, covariances = state.positions(), state.position_covariances()
-        pixels = self.camera.project(points)[new]
-        ellipses = np.tile(self.settings.pixel_sigma**2 * np.eye(2), (len(pixels), 1, 1))
-        outcome = np.full(len(pixels), Outcome.NEW)
-        return Landmarks(state.ids[new], outcome, pixels, ellipses, pixels, points[new], covariances[new], ages[new])
+    def ages(self, state: State, frame: int) -> NDArray[np.int64]:
+        """(N,) frames from the beginning of each of the state's landmarks to frame number `frame`."""
+        return frame - self.records.of(state.ids).born
 
     def _begin(
         self, state: State, frame: Frame, pixels: Array, points: KnownPoints | None, map_T_camera: gtsam.Pose3
@@ -121,7 +116,7 @@ class MapManager:
 
 
 def spread_out(candidates: Array, taken: Array, count: int) -> NDArray[np.intp]:
-    """Rows of up to `count` candidates (N, 2), each as far as possible from those `taken` (M, 2) and from each other."""
+    """Rows of up to `count` candidates (N, 2), far from those `taken` (M, 2) and from each other."""
     gap = np.linalg.norm(candidates[:, None] - taken, axis=2).min(axis=1, initial=np.inf)
     chosen: list[int] = []
     for _ in range(min(count, len(candidates))):

@@ -7,6 +7,7 @@ the local optimisation is that of Chum, Matas, Kittler, "Locally optimized RANSA
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +101,7 @@ def _compatible(chosen: int, innovation: Array, spread: Array) -> NDArray[np.boo
     return _squares(residual, np.linalg.inv(own)) < GATE
 
 
-def _squares(vectors: Array, information: Array) -> Array:
+def _squares(vectors: Array, information: NDArray[np.floating[Any]]) -> Array:
     """Squared lengths (N,) of vectors (N, 2) in the metrics (N, 2, 2)."""
     squares: Array = np.einsum("ni,nij,nj->n", vectors, information, vectors)
     return squares

@@ -82,14 +82,18 @@ class State:
         )
         return first, second
 
+    @cached_property
     def positions(self) -> Array:
         """Landmarks (M + L, 3) as points in the camera, metres."""
-        points, _ = to_points(self.inverse)
-        return np.vstack([points, self.points])
+        return np.vstack([self._inverse_as_points[0], self.points])
+
+    @cached_property
+    def _inverse_as_points(self) -> tuple[Array, Array]:
+        return to_points(self.inverse)
 
     def position_covariances(self) -> Array:
         """Of the landmarks as points, with what is uncertain of their scale; (M + L, 3, 3)."""
-        points, by_inverse = to_points(self.inverse)
+        points, by_inverse = self._inverse_as_points
         groups = []
         for point, by_landmark, columns in (
             (points, by_inverse, self.columns[0]),
@@ -177,9 +181,8 @@ class State:
         )
 
     def log_distances(self) -> tuple[Array, Array, Array]:
-        """Landmarks in front of the camera: points (N, 3), logarithms of their distances (N,), their Jacobian (N, n)."""
-        points, by_inverse = to_points(self.inverse)
-        split, points = len(points), np.vstack([points, self.points])
+        """Landmarks in front of the camera: points (N, 3), log distances (N,) and the Jacobian of these (N, n)."""
+        (_, by_inverse), points, split = self._inverse_as_points, self.positions, len(self.inverse)
         front = points[:, 2] > 0
         front[:split] &= self.inverse[:, 5] > 0
         square = np.maximum((points**2).sum(axis=1), 1e-18)

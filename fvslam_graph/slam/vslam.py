@@ -7,6 +7,7 @@ import math
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import SlamSettings
@@ -14,7 +15,7 @@ from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.patches import MARGIN
 from fvslam_graph.sequences.base import Frame
-from fvslam_graph.slam.estimate import Landmarks, Outcome, SlamEstimate
+from fvslam_graph.slam.estimate import Landmarks, Outcome, Searched, SlamEstimate
 from fvslam_graph.slam.finder import LandmarkFinder, Search
 from fvslam_graph.slam.landmarks import Array
 from fvslam_graph.slam.map_management import MapManager
@@ -34,6 +35,8 @@ from fvslam_graph.trajectory import Status
 
 PATIENCE = 3  # images in a row without enough matches before the map is rebuilt
 RESCUE_GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
+# The matrices are small: a second thread costs more than it brings, and the sums would depend on the machine.
+_BLAS = ThreadpoolController()
 
 
 class VSlam:
@@ -84,8 +87,9 @@ class VSlam:
         self.index, self._stamp = frame.index, frame.stamp
         state = predict_from_odometry(State.at(pose.mean, pose.covariance), prev_T_cur, seconds)
         state = self._map.grown(state, frame, points, self._map_T_camera)
-        return self._arrive(frame, state, Landmarks.none(), Status.TRACKED)
+        return self._arrive(frame, state, Searched.none(), Status.TRACKED)
 
+    @_BLAS.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
     def step(
         self, frame: Frame, odometry: GaussianPose | None = None, points: KnownPoints | None = None
     ) -> SlamEstimate:
@@ -133,21 +137,14 @@ class VSlam:
             state = compose(state, seconds)
 
         # Drop and begin landmarks.
+        outcome = np.where(found, Outcome.REJECTED, np.where(visible, Outcome.UNMATCHED, Outcome.OUT_OF_VIEW))
+        if not lost:
+            outcome[inliers], outcome[rescued] = Outcome.INLIER, Outcome.RESCUED
+        searched = Searched(state.ids, outcome, prediction.pixels, ellipses, np.where(found[:, None], pixels, np.nan))
+        status = self._judge(frame, lost)
         with self._stopwatch.stage("map"):
-            outcome = np.where(found, Outcome.REJECTED, np.where(visible, Outcome.UNMATCHED, Outcome.OUT_OF_VIEW))
-            if not lost:
-                outcome[inliers], outcome[rescued] = Outcome.INLIER, Outcome.RESCUED
-            landmarks = Landmarks(
-                ids=state.ids,
-                outcome=outcome,
-                expected=prediction.pixels,
-                ellipses=ellipses,
-                pixels=np.where(found[:, None], pixels, np.nan),
-                **self._positions(state, frame),
-            )
-            status = self._judge(frame, lost)
-            state = self._brought_up_to_date(state, frame, landmarks, status, points)
-        return self._arrive(frame, state, landmarks, status)
+            state = self._brought_up_to_date(state, frame, searched, status, points)
+            return self._arrive(frame, state, searched, status)
 
     def rebase(self, pose: GaussianPose) -> None:
         """Go on from another pose world_T_camera; the map in the camera stays as it is."""
@@ -168,7 +165,7 @@ class VSlam:
         if frame.image is not None and visible.any():
             prev_T_cur, _ = travelled(state.velocity, seconds)
             map_T_camera = self._map_T_camera.compose(prev_T_cur)
-            points = (state.positions()[visible] - prev_T_cur.translation()) @ prev_T_cur.rotation().matrix()
+            points = (state.positions[visible] - prev_T_cur.translation()) @ prev_T_cur.rotation().matrix()
             search = Search(state.ids[visible], expected[visible], ellipses[visible], points, map_T_camera)
             pixels[visible], found[visible] = self.finder.find(frame, search)
         return pixels, found
@@ -192,22 +189,18 @@ class VSlam:
         return Status.COASTED if self._failures < PATIENCE else Status.REINITIALISED
 
     def _brought_up_to_date(
-        self, state: State, frame: Frame, landmarks: Landmarks, status: Status, points: KnownPoints | None
+        self, state: State, frame: Frame, searched: Searched, status: Status, points: KnownPoints | None
     ) -> State:
         """The state with its map as the next frame needs it."""
         if status is Status.TRACKED:
-            state = self._map.tidied(state, landmarks)
+            state = self._map.tidied(state, searched)
         elif status is Status.REINITIALISED:
             state = state.without(np.ones(len(state), bool))
         else:
             return state
         return self._map.grown(state, frame, points, self._map_T_camera)
 
-    def _positions(self, state: State, frame: Frame) -> dict[str, NDArray[np.generic]]:
-        ages = frame.index - self._map.records.of(state.ids).born
-        return {"points": state.positions(), "covariances": state.position_covariances(), "ages": ages}
-
-    def _arrive(self, frame: Frame, state: State, landmarks: Landmarks, status: Status) -> SlamEstimate:
+    def _arrive(self, frame: Frame, state: State, searched: Searched, status: Status) -> SlamEstimate:
         """Take over the state in the new camera, and say what it is."""
         self._state = state = state.with_scale_apart()
         previous, self.index = self.index, frame.index
@@ -218,7 +211,10 @@ class VSlam:
             pose=GaussianPose(state.world_T_camera, state.covariance[POSE, POSE]),
             prev_T_cur=last_motion(state, seconds),
             status=status,
-            landmarks=landmarks + self._map.begun_at(state, frame),
+            searched=searched,
+            landmarks=Landmarks(
+                state.ids, state.positions, state.position_covariances(), self._map.ages(state, frame.index)
+            ),
             scale_sigma=math.sqrt(state.covariance[SCALE, SCALE]),
             times=self._stopwatch.times,
         )
