@@ -38,7 +38,7 @@ class VoSettings(_Group):
 
     min_inliers: PositiveInt = Field(20, ge=6)  # fewer, and the motion model carries on
     min_inlier_share: float = Field(0.5, ge=0, le=1)  # of the tracks that two views must explain
-    ransac_threshold: PositiveFloat = 0.7  # pixels, Sampson distance of an inlier
+    ransac_threshold: PositiveFloat = 1.0  # pixels, Sampson distance of an inlier
     ransac_iterations: PositiveInt = 25  # at least
     static_parallax: PositiveFloat = 0.3  # pixels; less, beyond a small rotation, is standing still
     static_rotation: PositiveFloat = 0.0035  # rad; a vehicle that stands still may shake by this
@@ -89,16 +89,17 @@ class SlamSettings(_Group):
 
     interleave: PositiveInt | None = None  # every how many frames; by itself 1 in mode vslam, else the paper's 5
     min_landmarks: PositiveInt = Field(25, ge=8, le=1000)  # measured in every frame, where the image has as many
-    min_matches: PositiveInt = 8  # fewer that agree, and the motion model carries on
+    min_matches: PositiveFloat = 3.0  # of landmarks at known depths; fewer that agree, and the motion model carries on
+    min_share: float = Field(0.15, ge=0, le=1)  # of the matches, that have to agree, likewise
     motion: Literal["constant_velocity", "odometry"] = "constant_velocity"  # what predicts the next frame
     linear_noise: PositiveFloat = 1.0  # m/s^1.5, root of the spectral density that drives the velocity
     angular_noise: PositiveFloat = 0.3  # rad/s^1.5, likewise
     pixel_sigma: PositiveFloat = 0.5  # pixels, of a matched landmark along each axis
-    ransac_threshold: PositiveFloat = 2.0  # pixels between a match and what one other match predicts
+    ransac_threshold: PositiveFloat = 1.0  # pixels between a match and what one other match predicts
     depth_spread: PositiveFloat = 0.5  # standard deviation of log distance of a landmark against those around it
     unknown_distance: PositiveFloat = 10.0  # metres, of landmarks where the map is lost at once
-    ncc_threshold: float = Field(0.8, ge=0, le=1)  # least correlation of a match
-    search_radius: PositiveInt = 40  # pixels at most along each axis, however large an ellipse is
+    ncc_threshold: float = Field(0.7, ge=0, le=1)  # least correlation of a match
+    search_radius: PositiveInt = 80  # pixels at most along each axis, however large an ellipse is
 
 
 class Config(_Group):
@@ -128,6 +129,7 @@ class Config(_Group):
 _PAPER: dict[str, Any] = {
     "features": {"association": "ncc", "octave": 0, "threshold": 20},
     "vo": {"min_inliers": 25, "min_inlier_share": 0.3, "keyframe_parallax": 0.7},
+    "slam": {"ncc_threshold": 0.8},
 }
 
 

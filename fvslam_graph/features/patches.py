@@ -137,6 +137,8 @@ def align(image: Image, patches: Patches, start: Array) -> tuple[Array, Array]:
     Returns:
         (N, 2) pixels, and (N,) the correlation there.
     """
+    if not len(patches):
+        return start, np.empty(0)
     template = _normalised(patches)
     by_y, by_x = np.gradient(template.reshape(patches.shape), axis=(1, 2))
     gradient = np.stack([by_x.reshape(template.shape), by_y.reshape(template.shape)], axis=1)

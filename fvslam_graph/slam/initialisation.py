@@ -52,14 +52,20 @@ def depths_from_map(state: State, pixels: Array, camera: Camera, spread: float) 
         camera: Undistorted.
         spread: Standard deviation of the logarithm.
     """
-    points, logs, by_state = state.log_distances()
-    if not len(points):
+    front, logs, jacobians = state.log_distances()
+    if not front.any():
         return None
-    square = ((pixels[:, None] - camera.project(points)) ** 2).sum(axis=2) / (NEIGHBOURHOOD * camera.width) ** 2
+    apart = pixels[:, None] - camera.project(np.where(front[:, None], state.positions, (0.0, 0.0, 1.0)))
+    square = np.where(front, (apart**2).sum(axis=2), np.inf) / (NEIGHBOURHOOD * camera.width) ** 2
     weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
     weight /= weight.sum(axis=1, keepdims=True)
     inverse = np.exp(-weight @ logs)
-    return DepthPrior(inverse, np.diag((spread * inverse) ** 2), -inverse[:, None] * (weight @ by_state))
+    by_state = np.zeros((len(pixels), len(state.covariance)))
+    for jacobian, columns, part in zip(
+        jacobians, state.columns, np.split(weight, [len(state.inverse)], axis=1), strict=True
+    ):
+        by_state[:, columns[:, 6:]] = -inverse[:, None, None] * part[:, :, None] * jacobian
+    return DepthPrior(inverse, np.diag((spread * inverse) ** 2), by_state)
 
 
 def equal_depths(count: int, distance: float, spread: float, size: int) -> DepthPrior:
@@ -96,18 +102,21 @@ def with_new_landmarks(
     own = noise.copy()
     own[:, 5, :, 5] += cross[:, 5] @ prior.by_state.T
 
-    begin, end = len(state.covariance), len(state.covariance) - state.points.size
-    extended = np.zeros((begin + new.size,) * 2)
-    extended[:begin, :begin] = state.covariance
-    extended[begin:, :begin] = cross.reshape(new.size, begin)
-    extended[:begin, begin:] = extended[begin:, :begin].T
-    extended[begin:, begin:] = symmetric(own.reshape(new.size, new.size))
     # Points come after all landmarks in inverse depth.
-    order = np.concatenate([np.arange(end), np.arange(begin, len(extended)), np.arange(end, begin)])
+    begin, old = len(state.covariance) - state.points.size, state.covariance
+    new_rows = slice(begin, begin + new.size)
+    old_rows = np.concatenate([np.arange(begin), np.arange(begin + new.size, len(old) + new.size)])
+    covariance = np.empty((len(old) + new.size,) * 2)
+    for rows, there in ((slice(None, begin), slice(None, begin)), (slice(begin, None), slice(new_rows.stop, None))):
+        covariance[there, :begin] = old[rows, :begin]
+        covariance[there, new_rows.stop :] = old[rows, begin:]
+    covariance[new_rows, old_rows] = cross.reshape(new.size, len(old))
+    covariance[old_rows, new_rows] = cross.reshape(new.size, len(old)).T
+    covariance[new_rows, new_rows] = symmetric(own.reshape(new.size, new.size))
     split = len(state.inverse)
     return replace(
         state,
         inverse=np.vstack([state.inverse, new]),
         ids=np.concatenate([state.ids[:split], ids, state.ids[split:]]),
-        covariance=extended[np.ix_(order, order)],
+        covariance=covariance,
     )

@@ -21,7 +21,7 @@ from fvslam_graph.slam.records import Records
 from fvslam_graph.slam.state import State
 
 SPACING = 15.0  # pixels at least between landmarks
-TRIALS = 5  # how often a landmark is looked for before it is judged
+TRIALS = 3  # how often a landmark is looked for before it is judged
 MIN_SUCCESS = 0.5  # share of these in which it has to be measured
 SMOOTHING = 0.2  # weight of the newest frame in the share of landmarks that are measured
 LEAST_SHARE = 0.3  # below, more landmarks would not help
@@ -45,7 +45,7 @@ class MapManager:
         self.records = Records.none()
         self._next_id = 0
         self._share = 1.0  # of the map that a frame measures
-        self._distance = settings.unknown_distance
+        self.distance = settings.unknown_distance  # metres, typical of what was seen last
 
     def tidied(self, state: State, searched: Searched) -> State:
         """Without landmarks out of view and those rarely measured; those known well enough become points.
@@ -79,7 +79,7 @@ class MapManager:
         taken = self.camera.project(here)
         taken = taken[self.camera.contains(taken)]
         if len(here):
-            self._distance = float(np.median(np.linalg.norm(here, axis=1)))
+            self.distance = float(np.median(np.linalg.norm(here, axis=1)))
         # Some landmarks of the map will leave the view or not be found.
         wanted = math.ceil(self.settings.min_landmarks / max(self._share, LEAST_SHARE)) - len(state)
         if wanted > 0 and frame.image is not None:
@@ -105,7 +105,7 @@ class MapManager:
             prior = known_depths(points, self.camera, size)
         else:
             prior = depths_from_map(state, pixels, self.camera, spread) or equal_depths(
-                len(pixels), self._distance, spread, size
+                len(pixels), self.distance, spread, size
             )
         ids = self._next_id + np.arange(len(pixels))
         self._next_id += len(pixels)

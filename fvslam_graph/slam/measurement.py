@@ -53,10 +53,17 @@ class Prediction:
 
     def innovation_covariances(self, state: State, chosen: NDArray[np.bool_], sigma: float) -> Array:
         """(K, 2, 2) of each chosen pixel on its own, with the deviation `sigma` of a match, pixels^2."""
-        jacobian = self.jacobian(chosen)
-        product = (jacobian @ state.covariance).reshape(-1, 2, self.width)
-        spread: Array = product @ jacobian.toarray().reshape(product.shape).mT + sigma**2 * np.eye(2)
-        return (spread + spread.mT) / 2
+        split = len(self.by_inverse)
+        spread = []
+        for jacobian, columns, part in (
+            (self.by_inverse, self.columns[0], chosen[:split]),
+            (self.by_point, self.columns[1], chosen[split:]),
+        ):
+            jacobian, columns = jacobian[part], columns[part]
+            own = state.covariance[columns[:, :, None], columns[:, None, :]]
+            spread.append(jacobian @ own @ jacobian.mT)
+        whole = np.concatenate(spread) + sigma**2 * np.eye(2)
+        return (whole + whole.mT) / 2
 
 
 def project(state: State, prev_T_cur: gtsam.Pose3, camera: Camera) -> tuple[Array, Array]:
@@ -153,4 +160,4 @@ def update(
         linear = innovation - jacobian @ error
         if np.abs((pixels - prediction.pixels)[chosen].ravel() - linear).max() < CONVERGED * sigma:
             break
-    return replace(state, covariance=symmetric(origin.covariance - gain.T @ gain)), prediction
+    return replace(state, covariance=origin.covariance - gain.T @ gain), prediction

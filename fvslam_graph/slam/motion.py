@@ -13,13 +13,13 @@ from fvslam_graph.slam.landmarks import Array, hat, seen_from
 from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State, sparse_rows, symmetric, transformed
 
 
-def predict_constant_velocity(state: State, seconds: float, settings: SlamSettings) -> State:
-    """The velocity of the next step: that of the last one, driven by white noise.
+def predict_constant_velocity(state: State, seconds: float, settings: SlamSettings, surprise: float = 1.0) -> State:
+    """The velocity of the next step: that of the last one, driven by white noise `surprise` times as strong as usual.
 
     The variance grows with the time, so that it does not depend on the frame rate (Bar-Shalom, Li, Kirubarajan 2001,
     section 6.2.2: the noise has a power spectral density, in m^2/s^3 and rad^2/s^3).
     """
-    densities = np.repeat([settings.angular_noise, settings.linear_noise], 3) ** 2
+    densities = (surprise * np.repeat([settings.angular_noise, settings.linear_noise], 3)) ** 2
     covariance = state.covariance.copy()
     covariance[VELOCITY, VELOCITY] += np.diag(densities * seconds)
     return replace(state, covariance=covariance)

@@ -16,10 +16,12 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.slam.landmarks import Array
 from fvslam_graph.slam.measurement import Prediction, project
 from fvslam_graph.slam.motion import travelled
-from fvslam_graph.slam.state import State
+from fvslam_graph.slam.state import VELOCITY, State
 
 CONFIDENCE = 0.99  # of having drawn one right match
 MAX_HYPOTHESES = 50
+OPTIMISATIONS = 2  # with the matches that agree, of a hypothesis that may be the best
+KNOWN = 2.0  # pixels; a landmark that is known better than this has a whole vote
 GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
 
 
@@ -33,12 +35,13 @@ def low_innovation_inliers(
     sigma: float,
     threshold: float,
     rng: np.random.Generator,
-) -> NDArray[np.bool_]:
-    """The largest set of matches that one state predicts.
+) -> tuple[NDArray[np.bool_], float]:
+    """The largest set of matches that one motion predicts.
 
     A hypothesis is the state updated by one match. The matches that it does not rule out update it once more (the local
-    optimisation), since one match leaves some of the motion open, such as the roll. What the outcome predicts within
-    `threshold` pixels agrees; for a landmark whose depth is open, that is a strip along its epipolar line.
+    optimisation), since one match leaves some of the motion open, such as the roll. A match agrees that lies within
+    `threshold` pixels of where the outcome's motion leads its landmark; for a landmark whose depth is open, that is a
+    strip along its epipolar line. As much would agree with such a strip by chance, its vote counts for less.
 
     Args:
         state: Predicted.
@@ -52,7 +55,7 @@ def low_innovation_inliers(
         rng: Draws the matches.
 
     Returns:
-        (N,) bool.
+        (N,) bool, and the sum of votes: how many matches of landmarks at known depths would tell as much.
     """
     candidates = np.flatnonzero(found)
     best = np.zeros(len(found), bool)
@@ -60,15 +63,16 @@ def low_innovation_inliers(
     jacobian = prediction.jacobian(found)
     product = jacobian @ state.covariance
     spread = jacobian @ product.T + sigma**2 * np.eye(len(product))
-    strip = np.linalg.inv(prediction.landmark_spread(state) + threshold**2 / GATE * np.eye(2))
+    own = prediction.landmark_spread(state)
+    strip = np.linalg.inv(own + threshold**2 / GATE * np.eye(2))
+    votes = KNOWN**2 / np.sqrt(np.linalg.det(own + KNOWN**2 * np.eye(2)))
 
     def agreeing(chosen: NDArray[np.intp]) -> NDArray[np.bool_]:
         """What the state updated by the chosen of the candidates predicts."""
         rows = (2 * chosen[:, None] + (0, 1)).ravel()
         error = product[rows].T @ np.linalg.solve(spread[np.ix_(rows, rows)], innovation[chosen].ravel())
-        hypothesis = state.moved(error)
-        prev_T_cur, _ = travelled(hypothesis.velocity, seconds)
-        expected, depths = project(hypothesis, prev_T_cur, camera)
+        prev_T_cur, _ = travelled(state.velocity + error[VELOCITY], seconds)
+        expected, depths = project(state, prev_T_cur, camera)
         return found & (depths > 0) & (_squares(pixels - expected, strip) < GATE)
 
     needed = min(len(candidates), MAX_HYPOTHESES)
@@ -77,11 +81,14 @@ def low_innovation_inliers(
             break
         possible = _compatible(chosen, innovation, spread)
         agree = agreeing(np.flatnonzero(possible))
-        if agree.sum() > best.sum():
+        for _ in range(OPTIMISATIONS):
+            if agree.any() and votes[agree].sum() >= votes[best].sum():
+                agree = agreeing(np.flatnonzero(agree[candidates]))
+        if votes[agree].sum() > votes[best].sum():
             best = agree
             miss = 1 - best.sum() / len(candidates)
             needed = min(needed, math.ceil(math.log(1 - CONFIDENCE) / math.log(miss))) if miss > 0 else 0
-    return best
+    return best, float(votes[best].sum())
 
 
 def _compatible(chosen: int, innovation: Array, spread: Array) -> NDArray[np.bool_]:

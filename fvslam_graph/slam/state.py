@@ -17,6 +17,7 @@ from fvslam_graph.slam.landmarks import INVERSE, POINT, Array, to_points
 
 POSE, SCALE, VELOCITY, FIXED = slice(0, 6), 6, slice(7, 13), 13  # rows of the error state before the landmarks
 _GROWTH = np.array([1, 1, 1, 0, 0, -1])  # of a landmark in inverse depth, with the scale
+LEAST_LOG_VARIANCE = 1e-6  # of a log distance, so that no landmark stands for the whole map
 SLACK = 1e-9  # of the largest eigenvalue, that rounding may take from a positive semi-definite matrix
 
 
@@ -135,16 +136,16 @@ class State:
         everything with the scale is the same, whatever row it is counted in, no estimate and no uncertainty of metric
         quantities changes.
         """
-        weight = self.log_distance_weights()
+        weight = self._mean_log_distance()
         if weight is None:
             return self
         # error' = T error: the scale takes over the mean, and everything else gives it up.
         growth = self.by_scale
         growth[SCALE] = -1.0
         column = self.covariance @ weight
-        covariance = self.covariance - np.outer(growth, column) - np.outer(column, growth)
-        covariance += (weight @ column) * np.outer(growth, growth)
-        return replace(self, covariance=symmetric(covariance))
+        change = np.outer(growth, column - 0.5 * (weight @ column) * growth)
+        change += change.T.copy()
+        return replace(self, covariance=self.covariance - change)
 
     def without(self, dropped: NDArray[np.bool_]) -> State:
         """The state without the landmarks that are marked, (M + L,)."""
@@ -180,28 +181,33 @@ class State:
             covariance=transformed(self.covariance, change),
         )
 
-    def log_distances(self) -> tuple[Array, Array, Array]:
-        """Landmarks in front of the camera: points (N, 3), log distances (N,) and the Jacobian of these (N, n)."""
-        (_, by_inverse), points, split = self._inverse_as_points, self.positions, len(self.inverse)
+    def log_distances(self) -> tuple[NDArray[np.bool_], Array, tuple[Array, Array]]:
+        """Of landmarks in front of the camera: which (N,) these are, all log distances (N,) and their Jacobians.
+
+        The Jacobians are by the landmarks themselves, (M, 6) and (L, 3).
+        """
+        points, split = self.positions, len(self.inverse)
         front = points[:, 2] > 0
         front[:split] &= self.inverse[:, 5] > 0
         square = np.maximum((points**2).sum(axis=1), 1e-18)
         by_point = points / square[:, None]
-        jacobian = np.zeros((len(points), len(self.covariance)))
-        first, second = (columns[:, 6:] for columns in self.columns)
-        rows = np.arange(len(points))[:, None]
-        jacobian[rows[:split], first] = np.einsum("ni,nij->nj", by_point[:split], by_inverse)
-        jacobian[rows[split:], second] = by_point[split:]
-        return points[front], 0.5 * np.log(square[front]), jacobian[front]
+        by_inverse = np.einsum("ni,nij->nj", by_point[:split], self._inverse_as_points[1])
+        return front, 0.5 * np.log(square), (by_inverse, by_point[split:])
 
-    def log_distance_weights(self) -> Array | None:
-        """(n,) weighted mean of the Jacobians of all log distances, the certain ones first; None without landmarks."""
-        _, _, jacobian = self.log_distances()
-        if not len(jacobian):
+    def _mean_log_distance(self) -> Array | None:
+        """(n,) Jacobian of the mean log distance, in which the certain ones weigh most; None without landmarks."""
+        front, _, jacobians = self.log_distances()
+        if not front.any():
             return None
-        variance = ((jacobian @ self.covariance) * jacobian).sum(axis=1)
-        weight = 1 / (variance + 1e-6)
-        mean: Array = weight @ jacobian / weight.sum()
+        variances = [
+            np.einsum("ni,nij,nj->n", jacobian, covariance, jacobian)
+            for jacobian, covariance in zip(jacobians, self.landmark_covariances(), strict=True)
+        ]
+        weight = front / (np.concatenate(variances) + LEAST_LOG_VARIANCE)
+        weight /= weight.sum()
+        mean = np.zeros(len(self.covariance))
+        for jacobian, columns, part in zip(jacobians, self.columns, np.split(weight, [len(self.inverse)]), strict=True):
+            mean[columns[:, 6:]] = part[:, None] * jacobian
         return mean
 
     def check(self) -> None:

@@ -34,6 +34,8 @@ from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.trajectory import Status
 
 PATIENCE = 3  # images in a row without enough matches before the map is rebuilt
+SURPRISE = 4.0  # an image that did not fit the map may have been a motion that the noise does not allow for
+UNKNOWN_RATE = 0.5  # rad/s, and distances to the landmarks per second: standard deviation where nothing is known
 RESCUE_GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
 # The matrices are small: a second thread costs more than it brings, and the sums would depend on the machine.
 _BLAS = ThreadpoolController()
@@ -107,7 +109,8 @@ class VSlam:
         # Predict the motion, and where it leads the landmarks to.
         with self._stopwatch.stage("filter"):
             if odometry is None:
-                state = predict_constant_velocity(self._state, seconds, self.settings)
+                surprise = SURPRISE if self._failures else 1.0
+                state = predict_constant_velocity(self._state, seconds, self.settings, surprise)
             else:
                 state = predict_from_odometry(self._state, odometry, seconds)
             prediction = predict_pixels(state, seconds, self.camera)
@@ -121,11 +124,11 @@ class VSlam:
         with self._stopwatch.stage("filter"):
             # Low-innovation inliers update the state first, so that high-innovation inliers differ from outliers.
             threshold = self.settings.ransac_threshold
-            inliers = low_innovation_inliers(
+            inliers, votes = low_innovation_inliers(
                 state, prediction, pixels, found, seconds, self.camera, sigma, threshold, self._rng
             )
             rescued = np.zeros(len(found), bool)
-            lost = inliers.sum() < self.settings.min_matches
+            lost = votes < self.settings.min_matches or inliers.sum() < self.settings.min_share * found.sum()
             if not lost:
                 state, updated = update(state, prediction, inliers, pixels, seconds, self.camera, sigma)
                 rescued = self._agree(state, updated, pixels, found & ~inliers)
@@ -195,10 +198,18 @@ class VSlam:
         if status is Status.TRACKED:
             state = self._map.tidied(state, searched)
         elif status is Status.REINITIALISED:
-            state = state.without(np.ones(len(state), bool))
+            state = self._forgotten(state)
         else:
             return state
         return self._map.grown(state, frame, points, self._map_T_camera)
+
+    def _forgotten(self, state: State) -> State:
+        """The pose alone, with neither map nor velocity."""
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = UNKNOWN_RATE**2 * np.eye(3)
+        covariance[3:, 3:] = (UNKNOWN_RATE * self._map.distance) ** 2 * np.eye(3)
+        standing = GaussianPose(gtsam.Pose3(), covariance)
+        return predict_from_odometry(State.at(state.world_T_camera, state.covariance[POSE, POSE]), standing, 1.0)
 
     def _arrive(self, frame: Frame, state: State, searched: Searched, status: Status) -> SlamEstimate:
         """Take over the state in the new camera, and say what it is."""

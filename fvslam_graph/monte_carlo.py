@@ -1,0 +1,65 @@
+"""Estimators on simulated points, without images: whether they are right, and honest about how wrong they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.config import SlamSettings
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.sequences.base import Frame
+from fvslam_graph.sequences.points import PointScene
+from fvslam_graph.slam.estimate import SlamEstimate
+from fvslam_graph.slam.scene_finder import SceneFinder, known_points
+from fvslam_graph.slam.vslam import VSlam
+
+DEPTH_SIGMA = 0.05  # of the logarithm of the first landmarks' inverse depths, each on its own
+SCALE_SIGMA = 0.03  # of the logarithm of the scale that they share
+_NO_IMAGE = np.zeros((1, 1), np.uint8)  # points are found without
+
+
+def run_vslam(
+    scene: PointScene,
+    settings: SlamSettings,
+    seed: int,
+    wrong: float = 0.0,
+    depth_sigma: float = DEPTH_SIGMA,
+    scale_sigma: float = SCALE_SIGMA,
+) -> Iterator[SlamEstimate]:
+    """Visual SLAM on a scene, from the second frame on; the first two tell the velocity and the first depths.
+
+    Args:
+        scene: Landmarks and camera path.
+        settings: Of the filter.
+        seed: Of its random numbers, of wrong matches and of errors in the first depths and velocity.
+        wrong: Share of the matches that are wrong.
+        depth_sigma, scale_sigma: How wrong the first depths are.
+    """
+    rng = np.random.default_rng([seed, 2])
+    stamps, poses = scene.trajectory.stamps, scene.trajectory.poses
+    vslam = VSlam(scene.camera, settings, SceneFinder(scene, wrong, seed), np.random.default_rng(seed))
+    seconds = float(stamps[1] - stamps[0])
+    # The velocity is as uncertain as the motion model leaves it over one step.
+    sigmas = np.repeat([settings.angular_noise, settings.linear_noise], 3) * seconds**1.5
+    moved = poses[0].between(poses[1]).retract(sigmas * rng.standard_normal(6))
+    start = GaussianPose(poses[1], np.zeros((6, 6)))
+    points = known_points(scene, 1, depth_sigma, scale_sigma, rng)
+    yield vslam.start(frame_of(scene, 1), start, GaussianPose(moved, np.diag(sigmas**2)), seconds, points)
+    for index in range(2, len(scene)):
+        yield vslam.step(frame_of(scene, index))
+
+
+def frame_of(scene: PointScene, index: int) -> Frame:
+    """A frame of the scene, with an image that shows nothing."""
+    return Frame(index, float(scene.trajectory.stamps[index]), _NO_IMAGE)
+
+
+def pose_errors(scene: PointScene, estimates: list[SlamEstimate]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Errors Logmap(estimate^-1 truth) of the poses (N, 6), rad and m, and their covariances (N, 6, 6)."""
+    errors = [
+        gtsam.Pose3.Logmap(estimate.pose.mean.between(scene.trajectory.poses[estimate.index])) for estimate in estimates
+    ]
+    return np.array(errors), np.array([estimate.pose.covariance for estimate in estimates])

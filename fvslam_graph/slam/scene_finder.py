@@ -1,0 +1,81 @@
+"""The eyes of the filter in a simulated scene: landmarks are found by their number, without images."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.features.known_points import KnownPoints
+from fvslam_graph.sequences.base import Frame
+from fvslam_graph.sequences.points import PointScene
+from fvslam_graph.slam.finder import Search
+from fvslam_graph.slam.landmarks import Array
+
+GATE = 13.816  # 99.9 % quantile of the chi-square distribution with two degrees of freedom: the rim of the ellipse
+LEAST_REACH = 20.0  # pixels at least that a wrong match may lie off
+
+
+class SceneFinder:
+    """Finds landmarks of a scene where the scene says that they are seen.
+
+    Args:
+        scene: Landmarks, their pixels and the noise of these.
+        wrong: Share of the matches that are anywhere in the box around the ellipse instead.
+        seed: Of wrong matches.
+    """
+
+    def __init__(self, scene: PointScene, wrong: float = 0.0, seed: int = 0) -> None:
+        self.scene = scene
+        self.wrong = wrong
+        self._rng = np.random.default_rng(seed)
+        self._ids = np.empty(0, np.int64)  # of the filter's landmarks, ascending,
+        self._of_scene = np.empty(0, np.int64)  # and which of the scene's they are
+
+    def find(self, frame: Frame, search: Search) -> tuple[Array, NDArray[np.bool_]]:
+        """Pixels (N, 2) and which were found, (N,)."""
+        seen = self.scene.observe(frame.index)
+        wanted = self._of_scene[np.searchsorted(self._ids, search.ids)]
+        rows = np.minimum(np.searchsorted(seen.ids, wanted), len(seen.ids) - 1)
+        off = seen.pixels[rows] - search.pixels
+        square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(search.covariances), off)
+        found = (seen.ids[rows] == wanted) & (square < GATE)
+        wrong = self._rng.random(len(found)) < self.wrong
+        reach = np.sqrt(GATE * np.diagonal(search.covariances, axis1=1, axis2=2))
+        anywhere = self._rng.uniform(-1, 1, off.shape) * np.maximum(reach, LEAST_REACH)
+        return search.pixels + np.where(wrong[:, None], anywhere, off), found | wrong
+
+    def candidates(self, frame: Frame, taken: Array) -> Array:
+        """Pixels (K, 2) of all landmarks in view."""
+        return self.scene.observe(frame.index).pixels
+
+    def remember(self, frame: Frame, ids: NDArray[np.int64], pixels: Array, map_T_camera: gtsam.Pose3) -> None:
+        """Which landmarks of the scene are seen at pixels (K, 2)."""
+        seen = self.scene.observe(frame.index)
+        rows = np.linalg.norm(seen.pixels[:, None] - pixels, axis=2).argmin(axis=0)
+        self._ids = np.concatenate([self._ids, ids])
+        self._of_scene = np.concatenate([self._of_scene, seen.ids[rows]])
+
+    def forget(self, kept: NDArray[np.int64]) -> None:
+        """Drop all landmarks but these."""
+        stay = np.isin(self._ids, kept)
+        self._ids, self._of_scene = self._ids[stay], self._of_scene[stay]
+
+
+def known_points(
+    scene: PointScene, frame: int, sigma: float, scale_sigma: float, rng: np.random.Generator
+) -> KnownPoints:
+    """The points seen in a frame with inverse depths that are wrong by `sigma` each and `scale_sigma` all alike.
+
+    Args:
+        scene: Where they are.
+        frame: Index.
+        sigma: Standard deviation of the logarithm of an inverse depth.
+        scale_sigma: Of the logarithm of their scale.
+        rng: Of the errors.
+    """
+    seen = scene.observe(frame)
+    true = 1 / scene.in_camera(frame)[seen.ids, 2]
+    error = sigma * rng.standard_normal(len(true)) + scale_sigma * rng.standard_normal()
+    inverse = true * np.exp(error)
+    return KnownPoints(seen.ids, seen.pixels, inverse, np.maximum(sigma * inverse, 1e-12), scale_sigma**2)
