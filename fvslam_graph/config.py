@@ -38,7 +38,7 @@ class VoSettings(_Group):
 
     min_inliers: PositiveInt = Field(20, ge=6)  # fewer, and the motion model carries on
     min_inlier_share: float = Field(0.5, ge=0, le=1)  # of the tracks that two views must explain
-    ransac_threshold: PositiveFloat = 1.0  # pixels, Sampson distance of an inlier
+    ransac_threshold: PositiveFloat = 0.7  # pixels, Sampson distance of an inlier
     ransac_iterations: PositiveInt = 25  # at least
     static_parallax: PositiveFloat = 0.3  # pixels; less, beyond a small rotation, is standing still
     static_rotation: PositiveFloat = 0.0035  # rad; a vehicle that stands still may shake by this
@@ -95,7 +95,7 @@ class SlamSettings(_Group):
     linear_noise: PositiveFloat = 1.0  # m/s^1.5, root of the spectral density that drives the velocity
     angular_noise: PositiveFloat = 0.3  # rad/s^1.5, likewise
     pixel_sigma: PositiveFloat = 0.5  # pixels, of a matched landmark along each axis
-    ransac_threshold: PositiveFloat = 1.0  # pixels between a match and what one other match predicts
+    linearisation_slack: PositiveFloat = 1.0  # pixels by which a match may depart from what the others tell
     depth_spread: PositiveFloat = 0.5  # standard deviation of log distance of a landmark against those around it
     unknown_distance: PositiveFloat = 10.0  # metres, of landmarks where the map is lost at once
     ncc_threshold: float = Field(0.7, ge=0, le=1)  # least correlation of a match

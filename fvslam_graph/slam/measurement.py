@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 import scipy.linalg
 import scipy.sparse
@@ -45,12 +44,6 @@ class Prediction:
         blocks = [(self.by_inverse[first], self.columns[0][first]), (self.by_point[second], self.columns[1][second])]
         return sparse_rows(blocks, self.width)
 
-    def landmark_spread(self, state: State) -> Array:
-        """(N, 2, 2) covariance of each pixel as far as the landmark's own uncertainty goes, pixels^2."""
-        inverse, points = state.landmark_covariances()
-        first, second = self.by_inverse[:, :, 6:], self.by_point[:, :, 6:]
-        return np.concatenate([first @ inverse @ first.mT, second @ points @ second.mT])
-
     def innovation_covariances(self, state: State, chosen: NDArray[np.bool_], sigma: float) -> Array:
         """(K, 2, 2) of each chosen pixel on its own, with the deviation `sigma` of a match, pixels^2."""
         split = len(self.by_inverse)
@@ -66,23 +59,18 @@ class Prediction:
         return (whole + whole.mT) / 2
 
 
-def project(state: State, prev_T_cur: gtsam.Pose3, camera: Camera) -> tuple[Array, Array]:
-    """Pixels (N, 2) of all landmarks in a camera that moved, and their depths (N,), positive in front of it.
-
-    The depths are in metres for points, and times the inverse depth for the others.
-    """
-    scaled, weights, _ = _homogeneous(state)
-    return _project(scaled, weights, prev_T_cur, camera)[:2]
-
-
 def predict_pixels(state: State, seconds: float, camera: Camera) -> Prediction:
     """Pixels of all landmarks after the step that the state's velocity says, with their Jacobian."""
     prev_T_cur, by_velocity = travelled(state.velocity, seconds)
     rotation, translation = prev_T_cur.rotation().matrix(), prev_T_cur.translation()
-    scaled, weights, by_scaled = _homogeneous(state)
-    pixels, depths, seen = _project(scaled, weights, prev_T_cur, camera)
+    # Landmarks as points times a weight, which is the inverse depth, or 1.
+    scaled, by_scaled = scaled_points(state.inverse)
+    weights = np.concatenate([state.inverse[:, 5], np.ones(len(state.points))])
+    seen = (np.vstack([scaled, state.points]) - weights[:, None] * translation) @ rotation
+    in_front = seen[:, 2] > 0
+    depth = np.where(in_front, seen[:, 2], 1.0)
+    pixels = seen[:, :2] / depth[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
-    depth = np.where(depths > 0, depths, 1.0)
     by_seen = np.zeros((len(seen), 2, 3))
     by_seen[:, 0, 0], by_seen[:, 1, 1] = camera.fx / depth, camera.fy / depth
     by_seen[:, 0, 2], by_seen[:, 1, 2] = -camera.fx * seen[:, 0] / depth**2, -camera.fy * seen[:, 1] / depth**2
@@ -91,30 +79,16 @@ def predict_pixels(state: State, seconds: float, camera: Camera) -> Prediction:
     by_velocity = by_seen @ (seen_by_motion @ by_velocity)
 
     split = len(state.inverse)
-    by_scaled[:, :, 5] -= translation  # the weight is the inverse depth
+    by_scaled[:, :, 5] -= translation
     by_inverse, by_point = by_seen[:split] @ rotation.T @ by_scaled, by_seen[split:] @ rotation.T
     return Prediction(
         pixels,
-        depths > 0,
+        in_front,
         np.concatenate([by_velocity[:split], by_inverse], axis=2),
         np.concatenate([by_velocity[split:], by_point], axis=2),
         state.columns,
         len(state.covariance),
     )
-
-
-def _homogeneous(state: State) -> tuple[Array, Array, Array]:
-    """All landmarks as points times a weight, (N, 3) and (N,), and the Jacobian of those in inverse depth (M, 3, 6)."""
-    scaled, by_inverse = scaled_points(state.inverse)
-    weights = np.concatenate([state.inverse[:, 5], np.ones(len(state.points))])
-    return np.vstack([scaled, state.points]), weights, by_inverse
-
-
-def _project(scaled: Array, weights: Array, prev_T_cur: gtsam.Pose3, camera: Camera) -> tuple[Array, Array, Array]:
-    """Pixels (N, 2), depths (N,) and the scaled points in the current camera (N, 3)."""
-    seen = (scaled - weights[:, None] * prev_T_cur.translation()) @ prev_T_cur.rotation().matrix()
-    depth = np.where(seen[:, 2] > 0, seen[:, 2], 1.0)
-    return seen[:, :2] / depth[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy), seen[:, 2], seen
 
 
 def update(

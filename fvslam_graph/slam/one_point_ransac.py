@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.slam.landmarks import Array
-from fvslam_graph.slam.measurement import Prediction, project
-from fvslam_graph.slam.motion import travelled
-from fvslam_graph.slam.state import VELOCITY, State
+from fvslam_graph.slam.measurement import Prediction, predict_pixels
+from fvslam_graph.slam.state import State
 
 CONFIDENCE = 0.99  # of having drawn one right match
 MAX_HYPOTHESES = 50
-OPTIMISATIONS = 2  # with the matches that agree, of a hypothesis that may be the best
-KNOWN = 2.0  # pixels; a landmark that is known better than this has a whole vote
 GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
+KNOWN = 2.0  # pixels; a match that is expected better than this has a whole vote
 
 
 def low_innovation_inliers(
@@ -33,15 +31,14 @@ def low_innovation_inliers(
     seconds: float,
     camera: Camera,
     sigma: float,
-    threshold: float,
+    slack: float,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.bool_], float]:
-    """The largest set of matches that one motion predicts.
+    """The largest set of matches in which each lies where the others lead to.
 
-    A hypothesis is the state updated by one match. The matches that it does not rule out update it once more (the local
-    optimisation), since one match leaves some of the motion open, such as the roll. A match agrees that lies within
-    `threshold` pixels of where the outcome's motion leads its landmark; for a landmark whose depth is open, that is a
-    strip along its epipolar line. As much would agree with such a strip by chance, its vote counts for less.
+    A hypothesis takes one match as right. Those that it does not rule out are then held against each other (the local
+    optimisation), since one match leaves some of the motion open, such as the roll. The best set is checked once more,
+    linearised where it leads to.
 
     Args:
         state: Predicted.
@@ -51,64 +48,76 @@ def low_innovation_inliers(
         seconds: Since the previous frame.
         camera: Undistorted.
         sigma: Of a matched pixel along each axis.
-        threshold: Pixels between a match and its prediction.
+        slack: Pixels by which the linearisation may be off.
         rng: Draws the matches.
 
     Returns:
-        (N,) bool, and the sum of votes: how many matches of landmarks at known depths would tell as much.
+        (N,) bool, and the sum of votes: a match that could hardly have failed, as the depth of its landmark is open,
+        counts for little.
     """
     candidates = np.flatnonzero(found)
-    best = np.zeros(len(found), bool)
-    innovation = (pixels - prediction.pixels)[candidates]
+    noise = sigma**2 * np.eye(2 * len(candidates))
     jacobian = prediction.jacobian(found)
     product = jacobian @ state.covariance
-    spread = jacobian @ product.T + sigma**2 * np.eye(len(product))
-    own = prediction.landmark_spread(state)
-    strip = np.linalg.inv(own + threshold**2 / GATE * np.eye(2))
-    votes = KNOWN**2 / np.sqrt(np.linalg.det(own + KNOWN**2 * np.eye(2)))
+    spread = jacobian @ product.T + noise
+    innovation = (pixels - prediction.pixels)[candidates]
 
-    def agreeing(chosen: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """What the state updated by the chosen of the candidates predicts."""
-        rows = (2 * chosen[:, None] + (0, 1)).ravel()
-        error = product[rows].T @ np.linalg.solve(spread[np.ix_(rows, rows)], innovation[chosen].ravel())
-        prev_T_cur, _ = travelled(state.velocity + error[VELOCITY], seconds)
-        expected, depths = project(state, prev_T_cur, camera)
-        return found & (depths > 0) & (_squares(pixels - expected, strip) < GATE)
-
-    needed = min(len(candidates), MAX_HYPOTHESES)
-    for tried, chosen in enumerate(rng.permutation(len(candidates))):
+    best, votes, needed = np.zeros(len(candidates), bool), 0.0, min(len(candidates), MAX_HYPOTHESES)
+    for tried, drawn in enumerate(rng.permutation(len(candidates))):
         if tried >= needed:
             break
-        possible = _compatible(chosen, innovation, spread)
-        agree = agreeing(np.flatnonzero(possible))
-        for _ in range(OPTIMISATIONS):
-            if agree.any() and votes[agree].sum() >= votes[best].sum():
-                agree = agreeing(np.flatnonzero(agree[candidates]))
-        if votes[agree].sum() > votes[best].sum():
-            best = agree
+        possible, _ = _agree(np.arange(len(candidates)) == drawn, innovation, spread, slack)
+        agree, sum_of_votes = _agree(possible, innovation, spread, slack)
+        if sum_of_votes > votes:
+            best, votes = agree, sum_of_votes
             miss = 1 - best.sum() / len(candidates)
             needed = min(needed, math.ceil(math.log(1 - CONFIDENCE) / math.log(miss))) if miss > 0 else 0
-    return best, float(votes[best].sum())
+    if best.any():
+        rows = np.repeat(best, 2)
+        error = product[rows].T @ np.linalg.solve(spread[np.ix_(rows, rows)], innovation[best].ravel())
+        there = predict_pixels(state.moved(error), seconds, camera)
+        jacobian = there.jacobian(found)
+        innovation = (pixels - there.pixels)[candidates] + (jacobian @ error).reshape(-1, 2)
+        spread = jacobian @ (jacobian @ state.covariance).T + noise
+        best, votes = _agree(best, innovation, spread, slack)
+    inliers = found.copy()
+    inliers[candidates] = best
+    return inliers, votes
 
 
-def _compatible(chosen: int, innovation: Array, spread: Array) -> NDArray[np.bool_]:
-    """Which matches (N,) lie where they are expected once the chosen one is taken as right.
+def _agree(
+    chosen: NDArray[np.bool_], innovation: Array, spread: Array, slack: float
+) -> tuple[NDArray[np.bool_], float]:
+    """Which of N matches lie where the chosen ones, each of these without itself, lead to; and the sum of their votes.
 
     Args:
-        chosen: A row of the following.
+        chosen: (N,) bool.
         innovation: (N, 2) pixels.
         spread: (2N, 2N) its covariance.
+        slack: Pixels of tolerance.
     """
-    rows = slice(2 * chosen, 2 * chosen + 2)
-    gain = np.linalg.solve(spread[rows, rows], spread[rows]).T
-    residual = innovation - (gain @ innovation[chosen]).reshape(-1, 2)
-    each = np.arange(len(innovation))
-    own = (spread - gain @ spread[rows]).reshape(len(each), 2, len(each), 2)[each, :, each]
-    own[chosen], residual[chosen] = np.eye(2), 0.0
-    return _squares(residual, np.linalg.inv(own)) < GATE
+    if not chosen.any():
+        return chosen, 0.0
+    inside, outside = np.repeat(chosen, 2), np.repeat(~chosen, 2)
+    residual, covariance = np.empty_like(innovation), np.empty((len(chosen), 2, 2))
+    # The others' conditional distribution, and that of each chosen one given the rest of them (leave one out).
+    information = np.linalg.inv(spread[np.ix_(inside, inside)])
+    weighted = information @ innovation[chosen].ravel()
+    covariance[chosen] = np.linalg.inv(_blocks(information))
+    residual[chosen] = np.einsum("nij,nj->ni", covariance[chosen], weighted.reshape(-1, 2))
+    cross = spread[np.ix_(outside, inside)]
+    residual[~chosen] = innovation[~chosen] - (cross @ weighted).reshape(-1, 2)
+    explained = ((cross @ information).reshape(-1, 2, cross.shape[1])) @ cross.reshape(-1, 2, cross.shape[1]).mT
+    covariance[~chosen] = _blocks(spread)[~chosen] - explained
+
+    tolerance = np.linalg.inv(covariance + slack**2 / GATE * np.eye(2))
+    agree: NDArray[np.bool_] = np.einsum("ni,nij,nj->n", residual, tolerance, residual) < GATE
+    votes = KNOWN**2 / np.sqrt(np.linalg.det(covariance[agree] + KNOWN**2 * np.eye(2)))
+    return agree, float(votes.sum())
 
 
-def _squares(vectors: Array, information: NDArray[np.floating[Any]]) -> Array:
-    """Squared lengths (N,) of vectors (N, 2) in the metrics (N, 2, 2)."""
-    squares: Array = np.einsum("ni,nij,nj->n", vectors, information, vectors)
-    return squares
+def _blocks(matrix: NDArray[Any]) -> Array:
+    """The (N, 2, 2) blocks on the diagonal of a matrix (2N, 2N)."""
+    each = np.arange(len(matrix) // 2)
+    blocks: Array = matrix.reshape(len(each), 2, len(each), 2)[each, :, each]
+    return blocks

@@ -215,7 +215,7 @@ class State:
         assert np.isfinite(self.covariance).all(), "the covariance is not finite"
         assert np.array_equal(self.covariance, self.covariance.T), "the covariance is not symmetric"
         # Radians and metres, near and far landmarks are made comparable first.
-        sigma = np.sqrt(np.diagonal(self.covariance))
+        sigma = np.sqrt(np.abs(np.diagonal(self.covariance)))
         sigma = np.where(sigma > 0, sigma, 1.0)
         values = np.linalg.eigvalsh(self.covariance / np.outer(sigma, sigma))
         assert values[0] >= -SLACK * values[-1], f"the covariance has the eigenvalue {values[0]:g} of {values[-1]:g}"

@@ -123,9 +123,9 @@ class VSlam:
 
         with self._stopwatch.stage("filter"):
             # Low-innovation inliers update the state first, so that high-innovation inliers differ from outliers.
-            threshold = self.settings.ransac_threshold
+            slack = self.settings.linearisation_slack
             inliers, votes = low_innovation_inliers(
-                state, prediction, pixels, found, seconds, self.camera, sigma, threshold, self._rng
+                state, prediction, pixels, found, seconds, self.camera, sigma, slack, self._rng
             )
             rescued = np.zeros(len(found), bool)
             lost = votes < self.settings.min_matches or inliers.sum() < self.settings.min_share * found.sum()

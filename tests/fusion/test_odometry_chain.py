@@ -1,0 +1,67 @@
+"""The motion since an anchor, from motions against frames before."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.fusion.odometry_chain import OdometryChain
+
+
+def step(seed: int) -> GaussianPose:
+    rng = np.random.default_rng(seed)
+    mixing = 0.01 * rng.standard_normal((6, 6))
+    return GaussianPose(gtsam.Pose3.Expmap(0.3 * rng.standard_normal(6)), mixing @ mixing.T)
+
+
+def test_frame_to_frame():
+    chain, expected = OdometryChain(), GaussianPose.identity()
+    chain.add(0, 0, GaussianPose.identity())
+    for index in range(1, 6):
+        chain.add(index, index - 1, step(index))
+        expected = expected.compose(step(index))
+    assert chain.motion.mean.equals(expected.mean, 1e-12)
+    assert chain.motion.covariance == pytest.approx(expected.covariance)
+
+
+def test_several_frames_against_one():
+    chain = OdometryChain()
+    chain.add(0, 0, GaussianPose.identity())
+    for index in (1, 2, 3):
+        chain.add(index, 0, step(index))
+        assert chain.motion.mean.equals(step(index).mean, 1e-12)
+    chain.add(4, 3, step(4))
+    assert chain.motion.mean.equals(step(3).compose(step(4)).mean, 1e-12)
+
+
+def test_an_anchor_between_reference_and_frame():
+    """Frames 1 and 2 were measured against frame 0; the anchor is frame 1."""
+    chain = OdometryChain()
+    chain.add(0, 0, GaussianPose.identity())
+    chain.add(1, 0, step(1))
+    chain.anchor()
+    assert chain.motion.mean.equals(gtsam.Pose3(), 0) and not chain.motion.covariance.any()
+    chain.add(2, 0, step(2))
+    assert chain.motion.mean.equals(step(1).mean.between(step(2).mean), 1e-12)
+    # Both errors count: how much of them is shared is not known.
+    assert chain.motion.covariance == pytest.approx(step(1).inverse().compose(step(2)).covariance)
+    chain.add(3, 2, step(3))
+    assert chain.motion.mean.equals(step(1).mean.between(step(2).mean).compose(step(3).mean), 1e-12)
+
+
+def test_an_anchor_that_is_the_reference():
+    chain = OdometryChain()
+    chain.add(0, 0, GaussianPose.identity())
+    chain.add(1, 0, step(1))
+    chain.anchor()
+    chain.add(2, 1, step(2))
+    assert chain.motion.mean.equals(step(2).mean, 1e-12)
+    assert chain.motion.covariance == pytest.approx(step(2).covariance)
+
+
+def test_nothing_usable_at_first():
+    chain = OdometryChain()
+    for index in range(3):
+        chain.add(index, 0, step(index))  # coasting from a start that no image has shown
+    chain.add(3, 3, step(3))
+    assert chain.motion.mean.equals(step(3).mean, 1e-12)

@@ -1,0 +1,77 @@
+"""Which matches agree."""
+
+import numpy as np
+import pytest
+
+from fvslam_graph.slam.measurement import predict_pixels
+from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
+
+SECONDS, SIGMA, SLACK = 0.1, 0.5, 1.0
+
+
+@pytest.fixture
+def matched(random_state, camera):
+    """A state with landmarks known well and a motion known badly, and where a true motion leads them to."""
+
+    def make(seed: int):
+        state = random_state(seed, 20, 10, 1e-3)
+        covariance = state.covariance.copy()
+        covariance[7:13, 7:13] += np.diag(np.repeat([0.2, 1.0], 3) ** 2)
+        state = type(state)(state.world_T_camera, state.velocity, state.inverse, state.points, state.ids, covariance)
+        rng = np.random.default_rng(seed)
+        error = np.zeros(len(covariance))
+        error[7:13] = np.repeat([0.2, 1.0], 3) * rng.standard_normal(6)
+        prediction = predict_pixels(state, SECONDS, camera)
+        true = predict_pixels(state.moved(error), SECONDS, camera).pixels
+        return state, prediction, true + 0.2 * rng.standard_normal(true.shape), rng
+
+    return make
+
+
+def run(state, prediction, pixels, found, camera, seed=0):
+    return low_innovation_inliers(
+        state, prediction, pixels, found, SECONDS, camera, SIGMA, SLACK, np.random.default_rng(seed)
+    )
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_half_of_the_matches_may_be_wrong(matched, camera, seed):
+    state, prediction, pixels, rng = matched(seed)
+    found = np.ones(len(state), bool)
+    wrong = np.arange(len(state)) % 2 == 0
+    assert np.linalg.norm(pixels - prediction.pixels, axis=1).max() > 10  # the motion was not expected
+    pixels[wrong] += rng.choice([-1, 1], (wrong.sum(), 2)) * rng.uniform(8, 30, (wrong.sum(), 2))
+    inliers, votes = run(state, prediction, pixels, found, camera)
+    assert not (inliers & wrong).any()
+    assert inliers[~wrong].mean() > 0.9
+    assert 0.5 * inliers.sum() < votes <= inliers.sum()
+
+
+def test_only_what_was_found_agrees(matched, camera):
+    state, prediction, pixels, _ = matched(0)
+    found = np.arange(len(state)) < 12
+    inliers, _ = run(state, prediction, pixels, found, camera)
+    assert not inliers[~found].any() and inliers[found].all()
+    none, votes = run(state, prediction, pixels, np.zeros(len(state), bool), camera)
+    assert not none.any() and votes == 0
+
+
+def test_the_same_seed_draws_the_same_matches(matched, camera):
+    state, prediction, pixels, rng = matched(1)
+    pixels[::2] += rng.uniform(-30, 30, (15, 2))
+    found = np.ones(len(state), bool)
+    first, second = (run(state, prediction, pixels, found, camera, 3)[0] for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_landmarks_at_unknown_depths_have_little_to_say(random_state, camera):
+    """A strip that goes across the image agrees with many a motion."""
+    state = random_state(2, 20, 0, 1e-3)
+    vague = state.covariance.copy()
+    rows = 13 + 6 * np.arange(20) + 5
+    vague[rows, rows] += (3 * state.inverse[:, 5]) ** 2
+    vague_state = type(state)(state.world_T_camera, 5 * state.velocity, state.inverse, state.points, state.ids, vague)
+    prediction = predict_pixels(vague_state, SECONDS, camera)
+    inliers, votes = run(vague_state, prediction, prediction.pixels.copy(), np.ones(20, bool), camera)
+    assert inliers.all()
+    assert votes < 8  # measured 2.6

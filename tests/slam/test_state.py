@@ -1,0 +1,98 @@
+"""The error state, its covariance, and the scale that is kept apart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fvslam_graph.slam.motion import last_motion
+from fvslam_graph.slam.state import SCALE, VELOCITY, sparse_rows
+
+from .conftest import agrees, difference, numeric
+
+
+def test_moved_is_undone_by_difference(random_state):
+    state = random_state(0)
+    error = 0.1 * np.random.default_rng(1).standard_normal(len(state.covariance))
+    error[SCALE] = 0.0
+    assert difference(state, state.moved(error)) == pytest.approx(error)
+
+
+def test_the_scale_makes_all_lengths_longer(random_state):
+    state = random_state(1)
+    error = np.zeros(len(state.covariance))
+    error[SCALE] = np.log(2.0)
+    doubled = state.moved(error)
+    assert doubled.positions == pytest.approx(2 * state.positions)
+    assert doubled.velocity == pytest.approx(state.velocity * (1, 1, 1, 2, 2, 2))
+    assert doubled.world_T_camera.equals(state.world_T_camera, 0)
+    growth = numeric(lambda e: difference(state, state.moved(e[0] * np.eye(len(error))[SCALE])), 1)[:, 0]
+    assert agrees(state.by_scale, growth)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_without_keeps_the_rest(random_state, seed):
+    state = random_state(seed)
+    dropped = np.random.default_rng(seed).random(len(state)) < 0.4
+    left = state.without(dropped)
+    left.check()
+    assert left.ids.tolist() == state.ids[~dropped].tolist()
+    assert left.positions == pytest.approx(state.positions[~dropped])
+    assert left.position_covariances() == pytest.approx(state.position_covariances()[~dropped])
+    assert state.without(np.zeros(len(state), bool)) is state
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_points_are_what_the_landmarks_were(random_state, seed):
+    state = random_state(seed)
+    chosen = np.array([True, False, True, True, False, False])
+    turned = state.with_points(chosen)
+    turned.check()
+    assert len(turned.inverse) == 3 and len(turned.points) == 7
+    order = [state.ids.tolist().index(identity) for identity in turned.ids]
+    assert turned.positions == pytest.approx(state.positions[order])
+    assert turned.position_covariances() == pytest.approx(state.position_covariances()[order])
+    assert turned.covariance[:13, :13] == pytest.approx(state.covariance[:13, :13])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_scale_apart_changes_nothing_metric(random_state, seed):
+    state = random_state(seed)
+    apart = state.with_scale_apart()
+    apart.check()
+    assert np.array_equal(apart.positions, state.positions)
+    assert apart.position_covariances() == pytest.approx(state.position_covariances(), rel=1e-6, abs=1e-9)
+    motion, same = last_motion(state, 0.1), last_motion(apart, 0.1)
+    assert same.covariance == pytest.approx(motion.covariance, rel=1e-6, abs=1e-12)
+    assert apart.covariance[:6, :6] == pytest.approx(state.covariance[:6, :6])
+
+
+def test_a_common_error_of_all_distances_becomes_one_of_the_scale(random_state):
+    state = random_state(2)
+    shared = np.outer(state.by_scale, state.by_scale)  # all lengths are wrong alike, by a factor of deviation e^0.1
+    apart = replace(state, covariance=0.1**2 * shared).with_scale_apart()
+    assert apart.covariance[SCALE, SCALE] == pytest.approx(0.1**2)
+    apart_from_it = np.delete(np.delete(apart.covariance, SCALE, 0), SCALE, 1)
+    assert np.abs(apart_from_it).max() < 1e-12
+
+
+def test_sparse_rows():
+    blocks = np.arange(12.0).reshape(2, 2, 3)
+    dense = sparse_rows(
+        [(blocks, np.array([[0, 2, 4], [1, 2, 3]])), (np.ones((1, 1, 1)), np.array([[4]]))], 5
+    ).toarray()
+    assert dense.tolist() == [[0, 0, 1, 0, 2], [3, 0, 4, 0, 5], [0, 6, 7, 8, 0], [0, 9, 10, 11, 0], [0, 0, 0, 0, 1]]
+
+
+def test_check_tells_what_is_wrong(random_state):
+    state = random_state(0)
+    state.check()
+    for spoil, complaint in (
+        (lambda c: c.__setitem__((0, 1), c[0, 1] + 1e-9), "not symmetric"),
+        (lambda c: c.__setitem__((VELOCITY.start, VELOCITY.start), -1.0), "has the eigenvalue"),
+        (lambda c: c.__setitem__((0, 0), np.nan), "not finite"),
+    ):
+        covariance = state.covariance.copy()
+        spoil(covariance)
+        with pytest.raises(AssertionError, match=complaint):
+            replace(state, covariance=covariance).check()
