@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -73,16 +73,17 @@ def run(
 
     single = [f"mode={mode}", *(settings or []), *([] if seed is None else [f"seed={seed}"])]
     chosen = load_config(preset, config, single)
-    sequence = open_sequence(
-        path,
-        frames=frames,
-        stride=stride,
-        scale=image_scale,
-        camera_height=camera_height,
-        camera_pitch=camera_pitch,
-    )
+    source: dict[str, Any] = {
+        "path": path if path.startswith("synthetic:") else str(Path(path).absolute()),
+        "frames": frames,
+        "stride": stride,
+        "scale": image_scale,
+        "camera_height": camera_height,
+        "camera_pitch": camera_pitch,
+    }
+    sequence = open_sequence(**source)
     folder = out or Path("runs") / re.sub(r"[^\w.-]+", "-", f"{sequence.name}-{chosen.mode}-{chosen.preset}")
-    _run(sequence, chosen, folder)
+    _run(sequence, chosen, folder, source)
     typer.echo(f"next: fvslam evaluate {folder}; fvslam plot {folder}")
 
 
@@ -114,12 +115,22 @@ def plot(
     runs: Annotated[list[Path], typer.Argument(help="Run folders.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the plots; the first run's if not given.")] = None,
     align: Align = "se3",
+    landmarks: Annotated[
+        str | None,
+        typer.Option(
+            help="Also show the landmarks of visual SLAM in these frames of the first run.", metavar="N,N,..."
+        ),
+    ] = None,
 ) -> None:
     """Plot trajectories, errors, speed, scale and inliers of one or several runs, as PNG and PDF."""
+    from fvslam_graph.evaluation.landmark_plots import plot_landmarks
     from fvslam_graph.evaluation.plots import plot_runs
 
     for file in plot_runs(runs, out or runs[0], _alignment(align)):
         typer.echo(file)
+    if landmarks is not None:
+        for file in plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]):
+            typer.echo(file)
 
 
 @app.command()
@@ -160,14 +171,16 @@ def demo(
     typer.echo(f"plots: {', '.join(str(file) for file in plots if file.suffix == '.png')}")
 
 
-def _run(sequence: Sequence, config: Config, folder: Path) -> None:
+def _run(sequence: Sequence, config: Config, folder: Path, source: dict[str, Any] | None = None) -> None:
     from fvslam_graph.pipeline import applicable, estimate, facts
     from fvslam_graph.results import RunWriter
 
     effective = applicable(config, sequence)
     if effective != config:
         typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
-    with RunWriter(folder, effective, facts(sequence, effective), sequence.ground_truth) as writer:
+    with RunWriter(
+        folder, effective, {**facts(sequence, effective), "source": source}, sequence.ground_truth
+    ) as writer:
         for result in _progress(estimate(sequence, effective), len(sequence), sequence.name):
             writer.add(result)
     typer.echo(f"{len(sequence)} frames of {sequence.name}: {folder}")
@@ -187,6 +200,13 @@ def _show(table: Table) -> None:
     from rich.console import Console
 
     Console(width=None if sys.stdout.isatty() else WIDE).print(table)
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        return [int(number) for number in text.split(",")]
+    except ValueError:
+        raise FvslamError(f"--landmarks takes numbers of frames, as in 10,50, not '{text}'") from None
 
 
 def _alignment(name: str) -> Alignment:

@@ -13,7 +13,7 @@ from fvslam_graph.errors import ConfigError
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.results import FrameResult
-from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.sequences.base import Frame, Sequence
 from fvslam_graph.slam.estimate import Outcome, SlamEstimate
 from fvslam_graph.slam.patch_finder import PatchFinder
 from fvslam_graph.slam.vslam import VSlam
@@ -43,29 +43,27 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     chain = OdometryChain()  # the motion since P_f
     reference = GaussianPose.identity()  # P_f
+    latest: VoEstimate | SlamEstimate  # what measured the newest motion
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
         with stopwatch.stage("read"):
             frame = sequence.frame(index)
 
-        odometry, slam = None, None
+        odometry: VoEstimate | None = None
+        slam: SlamEstimate | None = None
         if config.needs_odometry or not vslam.started:
-            odometry = vo.step(frame)  # O_f
+            latest = odometry = vo.step(frame)  # O_f
             chain.add(index, odometry.previous, odometry.prev_T_cur)
         if config.mode is not Mode.VO:
             if odometry is not None and not vslam.started:
-                seconds = frame.stamp - float(sequence.stamps[odometry.previous])
-                if seconds > 0 and _can_start(odometry, config):
-                    pose = reference.compose(chain.motion)
-                    slam = vslam.start(frame, pose, odometry.prev_T_cur, seconds, odometry.points)
+                slam = _start(vslam, frame, odometry, reference.compose(chain.motion), sequence, config)
             elif index - vslam.index >= config.interleave:
-                slam = vslam.step(frame, chain.motion if config.slam.motion == "odometry" else None)  # S_f
+                prior = chain.motion if config.slam.motion == "odometry" else None
+                latest = slam = vslam.step(frame, prior)  # S_f
         if slam is not None:
             reference = slam.pose
             chain.anchor()
 
-        latest = slam or odometry
-        assert latest is not None
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
         yield FrameResult(
@@ -81,11 +79,17 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
         )
 
 
-def _can_start(odometry: VoEstimate, config: Config) -> bool:
-    """Whether visual odometry knows enough points for visual SLAM to begin with, and the scale source has spoken."""
+def _start(
+    vslam: VSlam, frame: Frame, odometry: VoEstimate, pose: GaussianPose, sequence: Sequence, config: Config
+) -> SlamEstimate | None:
+    """Visual SLAM begins where odometry knows enough points to begin with, and the scale source has spoken."""
+    points, seconds = odometry.points, frame.stamp - float(sequence.stamps[odometry.previous])
     relative = config.scale.source in (ScaleSource.MAP, ScaleSource.UNIT)
-    known = odometry.points.log_variance < VAGUE or relative
-    return odometry.status is Status.TRACKED and known and len(odometry.points) >= config.slam.min_landmarks
+    if odometry.status is not Status.TRACKED or len(points) < config.slam.min_landmarks:
+        return None
+    if points.log_variance >= VAGUE and not relative:
+        return None
+    return vslam.start(frame, pose, odometry.prev_T_cur, seconds, points)
 
 
 def applicable(config: Config, sequence: Sequence) -> Config:

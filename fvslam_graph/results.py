@@ -10,10 +10,10 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any, TextIO, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
@@ -24,6 +24,7 @@ from pydantic import BaseModel
 from fvslam_graph.errors import ResultsError
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.files import replacing, write_json, writing
+from fvslam_graph.landmark_table import COLUMNS, landmark_rows
 from fvslam_graph.provenance import peak_memory_mb, provenance
 from fvslam_graph.slam.estimate import SlamEstimate
 from fvslam_graph.trajectory import Status, Trajectory, kitti_line, tum_line
@@ -32,11 +33,12 @@ ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
 SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"
 GROUND_TRUTH, FRAMES, COVARIANCES = "ground_truth.tum", "frames.csv", "covariances.npz"
 CONFIG, INFO, METRICS, REFERENCE = "config.yaml", "run.json", "metrics.json", "reference.tum"
+LANDMARKS = "landmarks.csv"
 
 # Everything that a run, its evaluation and its plots leave in the folder; a new run into the same folder removes it.
 _OURS = (
     *(ONLINE, ONLINE_KITTI, SMOOTHED, SMOOTHED_KITTI, GROUND_TRUTH, FRAMES, COVARIANCES, CONFIG, INFO),
-    *(METRICS, REFERENCE, "[ar]pe_*.zip", "plot_*.png", "plot_*.pdf"),
+    *(LANDMARKS, METRICS, REFERENCE, "[ar]pe_*.zip", "plot_*.png", "plot_*.pdf"),
 )
 
 _T = TypeVar("_T")
@@ -122,14 +124,16 @@ class Run:
 class RunWriter:
     """Writes a run folder; a context manager around the loop over the frames.
 
-    A line per frame goes to `trajectory_online.tum` and `frames.csv`. `run.json` says "running" until the end, then
-    "finished", "interrupted" or "failed: ...". The end also brings `trajectory_online.kitti` and `covariances.npz`.
+    A line per frame goes to `trajectory_online.tum` and `frames.csv`, one per landmark to `landmarks.csv`. `run.json`
+    says "running" until the end, then "finished", "interrupted" or "failed: ...". The end also brings
+    `trajectory_online.kitti` and `covariances.npz`.
 
     Args:
         folder: Created; may hold a previous run, which is replaced.
         config: The effective settings.
         facts: Go into run.json. Known to evaluation and plots: `sequence` (name), `frames` (how many the sequence has),
-            `mode`, `scale_source` and `down` (3,), the direction of gravity in the first camera frame (None: unknown).
+            `mode`, `scale_source`, `down` (3,), the direction of gravity in the first camera frame (None: unknown), and
+            `source`, what `open_sequence` takes to open the recording again.
         ground_truth: Kept with the run, so that it can be evaluated without the recording.
 
     Raises:
@@ -152,6 +156,7 @@ class RunWriter:
                 ground_truth.write_tum(folder / GROUND_TRUTH)
             self._trajectory = (folder / ONLINE).open("w")
             self._frames = (folder / FRAMES).open("w", newline="")
+        self._landmarks: TextIO | None = None
 
     def __enter__(self) -> RunWriter:
         return self
@@ -169,7 +174,9 @@ class RunWriter:
                 self._table.writeheader()
             self._table.writerow(row)
             self._frames.flush()
-        self._results.append(result)
+            if result.slam is not None:
+                self._write_landmarks(result.slam)
+        self._results.append(replace(result, slam=None))  # on disk, and large
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -183,6 +190,8 @@ class RunWriter:
         with writing(self.folder):
             self._trajectory.close()
             self._frames.close()
+            if self._landmarks is not None:
+                self._landmarks.close()
             with replacing(self.folder / ONLINE_KITTI) as path:
                 path.write_text("".join(kitti_line(result.pose.mean) for result in self._results))
             with replacing(self.folder / COVARIANCES) as path:
@@ -194,6 +203,13 @@ class RunWriter:
                     pose_covariances=np.array([r.pose.covariance for r in self._results]).reshape(-1, 6, 6),
                 )
             self._write_info(status)
+
+    def _write_landmarks(self, slam: SlamEstimate) -> None:
+        if self._landmarks is None:
+            self._landmarks = (self.folder / LANDMARKS).open("w")
+            self._landmarks.write(",".join(COLUMNS) + "\n")
+        self._landmarks.write(landmark_rows(slam))
+        self._landmarks.flush()
 
     def _write_info(self, status: str) -> None:
         info = {"status": status, **self._facts, **provenance(), "totals": self._totals()}

@@ -63,7 +63,7 @@ def test_options_reach_the_run(drive, tmp_path, fvslam):
 def test_the_default_folder_needs_no_quotes(tmp_path, monkeypatch, fvslam):
     monkeypatch.chdir(tmp_path)
     code, out, _ = fvslam("run", "synthetic:drive?frames=2&size=320x100")
-    folder = "runs/synthetic-drive-frames-2-size-320x100-tuned"
+    folder = "runs/synthetic-drive-frames-2-size-320x100-vo-tuned"
     assert code == 0 and out.endswith(f"fvslam plot {folder}\n")
     assert read_run(tmp_path / folder).info["sequence"] == "synthetic:drive?frames=2&size=320x100"
 
@@ -192,3 +192,41 @@ def test_the_config_of_a_run_repeats_it(drive, tmp_path, fvslam):
     assert (config["preset"], config["vo"]["min_inliers"]) == ("paper", 30)
     for name in ("config.yaml", "trajectory_online.tum"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_visual_slam_and_a_look_at_its_landmarks(fvslam, tmp_path):
+    out = tmp_path / "run"
+    assert fvslam("run", "synthetic:uav?frames=8&size=320x240", "--mode", "vslam", "--out", out).code == 0
+    assert json.loads((out / "run.json").read_text())["mode"] == "vslam"
+    assert fvslam("evaluate", out).code == 0
+    outcome = fvslam("plot", out, "--landmarks", "5,7")
+    assert outcome.code == 0
+    for name in ("plot_landmarks_000005.png", "plot_landmarks_000007.png"):
+        assert (out / name).stat().st_size > 20_000
+        assert name in outcome.out
+
+
+@pytest.mark.parametrize(
+    ("landmarks", "complaint"),
+    [("5;7", "--landmarks takes numbers of frames"), ("99", "has no frame 99"), ("0", "has no frame 0")],
+)
+def test_landmarks_that_cannot_be_shown(fvslam, tmp_path, landmarks, complaint):
+    out = tmp_path / "run"
+    fvslam("run", "synthetic:uav?frames=6&size=320x240", "--mode", "vslam", "--out", out)
+    outcome = fvslam("plot", out, "--landmarks", landmarks)
+    assert outcome.code == 1
+    assert complaint in outcome.err and "Traceback" not in outcome.err
+
+
+def test_odometry_has_no_landmarks_to_show(fvslam, drive, tmp_path):
+    out = tmp_path / "run"
+    fvslam("run", drive, "--out", out)
+    outcome = fvslam("plot", out, "--landmarks", "5")
+    assert outcome.code == 1
+    assert "run it with visual SLAM" in outcome.err
+
+
+def test_an_unknown_mode(fvslam, drive, tmp_path):
+    outcome = fvslam("run", drive, "--mode", "slam", "--out", tmp_path / "run")
+    assert outcome.code == 1
+    assert "'mode' cannot be 'slam'" in outcome.err and "'vo'" in outcome.err

@@ -9,6 +9,7 @@ import pytest
 from pydantic import BaseModel
 
 from fvslam_graph.errors import ResultsError, TrajectoryError
+from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.results import FrameResult, RunWriter, read_run
 from fvslam_graph.trajectory import Status, Trajectory
 
@@ -30,7 +31,9 @@ def frame(index: int) -> FrameResult:
     status = Status.COASTED if index == 3 else Status.TRACKED
     measures = {"tracks": 100 + index, "scale": 1.5 if index else float("nan")}
     times = {"detect": 2.0 + index, "pose": 5.0}
-    return FrameResult(index, 0.1 * index, pose, status, max(index - 1, 0), STEP, covariance, measures, times)
+    world = GaussianPose(pose, index * np.eye(6))
+    relative = GaussianPose(STEP, covariance)
+    return FrameResult(index, 0.1 * index, world, status, max(index - 1, 0), relative, measures, times)
 
 
 def write(folder: Path, count: int = 5, ground_truth: Trajectory | None = None) -> Path:
@@ -46,7 +49,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 
     assert run.name == "run"
     assert np.array_equal(run.online.stamps, [0.0, 0.1, 0.2, 0.3, 0.4])
-    assert all(pose.equals(frame(i).pose, 1e-12) for i, pose in enumerate(run.online.poses))
+    assert all(pose.equals(frame(i).pose.mean, 1e-12) for i, pose in enumerate(run.online.poses))
     assert np.array_equal(run.frames["tracks"], [100, 101, 102, 103, 104])
     assert run.frames["status"].tolist() == ["tracked"] * 3 + ["coasted", "tracked"]
     assert np.isnan(run.frames["scale"]).tolist() == [True] + [False] * 4

@@ -64,12 +64,14 @@ class Landmarks:
 
     Attributes:
         ids: (N,) the same for the same landmark at all times.
+        pixels: (N, 2) where they are in the image, as the map has them.
         points: (N, 3) in the camera, metres.
         covariances: (N, 3, 3) of the points, in which they share the uncertainty of the scale.
         ages: (N,) frames since they began; 0 for those that begin.
     """
 
     ids: NDArray[np.int64]
+    pixels: Array
     points: Array
     covariances: Array
     ages: NDArray[np.int64]

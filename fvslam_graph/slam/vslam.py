@@ -224,7 +224,11 @@ class VSlam:
             status=status,
             searched=searched,
             landmarks=Landmarks(
-                state.ids, state.positions, state.position_covariances(), self._map.ages(state, frame.index)
+                ids=state.ids,
+                pixels=self.camera.project(state.positions),
+                points=state.positions,
+                covariances=state.position_covariances(),
+                ages=self._map.ages(state, frame.index),
             ),
             scale_sigma=math.sqrt(state.covariance[SCALE, SCALE]),
             times=self._stopwatch.times,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.results import FrameResult, RunWriter
 from fvslam_graph.trajectory import Status, Trajectory
 
@@ -63,11 +64,10 @@ def make_run(tmp_path: Path) -> MakeRun:
                     FrameResult(
                         index=index,
                         stamp=stamp,
-                        pose=pose,
+                        pose=GaussianPose(pose, np.zeros((6, 6))),
                         status=Status.COASTED if 100 <= index < 110 else Status.TRACKED,
                         previous=max(index - 1, 0),
-                        relative=relative,
-                        covariance=covariance,
+                        relative=GaussianPose(relative, covariance),
                         measures={
                             "tracks": 400 + 40 * rng.standard_normal(),
                             "inliers": 300 + 50 * np.sin(index / 20),

@@ -1,0 +1,124 @@
+"""What visual SLAM saw in a frame: the image with its landmarks, and the map from above."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.errors import ResultsError
+from fvslam_graph.evaluation.plots import STYLE, level_axes
+from fvslam_graph.files import writing
+from fvslam_graph.landmark_table import NEW, read_landmarks
+from fvslam_graph.results import INFO, LANDMARKS, read_run
+from fvslam_graph.sequences.opening import open_sequence
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+OUTCOMES = {
+    "inlier": ("#D55E00", "inlier"),
+    "rescued": ("#E69F00", "rescued inlier"),
+    "rejected": ("#CC79A7", "rejected"),
+    "unmatched": ("#0072B2", "unmatched"),
+    NEW: ("#009E73", "new"),
+}
+SIGMAS = 3.035  # of the ellipses in the image: 99 %, what is searched
+_REACH = 95  # percent of the landmarks that the map shows
+
+
+def plot_landmarks(folder: Path, frames: list[int], out: Path) -> list[Path]:
+    """Draw chosen frames of a run with landmarks, as PNG; the recording is opened where it was when it ran.
+
+    Raises:
+        FvslamError: The run has no landmarks or not in this frame, or the recording is not there any more.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    run = read_run(folder)
+    table, source = folder / LANDMARKS, run.info.get("source")
+    if not table.exists() or source is None:
+        raise ResultsError(f"{folder} has no landmarks to show; run it with visual SLAM, as by --mode vslam")
+    sequence = open_sequence(**source)
+    down = np.array(run.info["down"] or (0.0, 1.0, 0.0))
+    files = []
+    with writing(out), matplotlib.rc_context(STYLE):
+        out.mkdir(parents=True, exist_ok=True)
+        for frame in frames:
+            try:
+                landmarks = read_landmarks(table, frame)
+            except ValueError as error:
+                raise ResultsError(f"{table} cannot be read, the run must be done again: {error}") from None
+            if not len(landmarks["id"]):
+                raise ResultsError(f"{table} has no frame {frame}: visual SLAM did not run there; see {folder / INFO}")
+            image = sequence.frame(frame).image
+            figure = Figure(figsize=(12, 9), layout="constrained")
+            above, below = figure.subplots(2, 1, height_ratios=(3, 2))
+            figure.suptitle(f"{sequence.name}, frame {frame}: {run.frames['status'][frame]}, {run.info['mode']}")
+            if image is not None:
+                above.imshow(image, cmap="gray", vmin=0, vmax=255)
+            _draw_image(above, landmarks, (sequence.camera.width, sequence.camera.height))
+            _draw_map(below, landmarks, level_axes(down))
+            handles, labels = above.get_legend_handles_labels()
+            figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+            files.append(out / f"plot_landmarks_{frame:06d}.png")
+            figure.savefig(files[-1])
+    return files
+
+
+def _draw_image(axes: Axes, landmarks: dict[str, NDArray[Any]], size: tuple[int, int]) -> None:
+    """Ellipses where landmarks were looked for, dots where they were found."""
+    from matplotlib.patches import Ellipse
+
+    for outcome, (colour, label) in OUTCOMES.items():
+        chosen = landmarks["outcome"] == outcome
+        u, v = landmarks["u"][chosen], landmarks["v"][chosen]
+        axes.plot(u, v, "o", color=colour, markersize=4, label=f"{label} ({chosen.sum()})")
+        for expected_u, expected_v, uu, uv, vv in zip(
+            *(
+                landmarks[name][chosen]
+                for name in ("expected_u", "expected_v", "ellipse_uu", "ellipse_uv", "ellipse_vv")
+            ),
+            strict=True,
+        ):
+            if np.isfinite(expected_u):
+                width, height, angle = _ellipse(np.array([[uu, uv], [uv, vv]]), SIGMAS)
+                axes.add_patch(Ellipse((expected_u, expected_v), width, height, angle=angle, fill=False, color=colour))
+    axes.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), xticks=[], yticks=[])
+    axes.set_title("ellipses: where landmarks were searched (99 %); dots: where they were found", fontsize=9)
+    axes.grid(False)
+
+
+def _draw_map(axes: Axes, landmarks: dict[str, NDArray[Any]], level: NDArray[np.float64]) -> None:
+    """Landmarks from above with their uncertainty; the camera is at the origin."""
+    from matplotlib.patches import Ellipse
+
+    points = np.column_stack([landmarks[name] for name in "xyz"])
+    entries = np.column_stack([landmarks[f"cov_{name}"] for name in ("xx", "xy", "xz", "yy", "yz", "zz")])
+    covariances = entries[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    ground = level[:2] @ points.T
+    spreads = level[:2] @ covariances @ level[:2].T
+    for outcome, (colour, _) in OUTCOMES.items():
+        for n in np.flatnonzero((landmarks["outcome"] == outcome) & np.isfinite(points[:, 0])):
+            width, height, angle = _ellipse(spreads[n], 2.0)
+            axes.add_patch(Ellipse(ground[:, n], width, height, angle=angle, color=colour, alpha=0.4, linewidth=1))
+            axes.plot(*ground[:, n], ".", color=colour, markersize=5)
+    axes.plot(0, 0, "^", color="black", markersize=8)
+    # Landmarks far away, and their uncertainty, would make the rest too small to see.
+    seen = ground[:, np.isfinite(ground[0])] if np.isfinite(ground).any() else np.array([[-1.0, 1.0], [0.0, 1.0]])
+    low, high = np.percentile(seen[1], [100 - _REACH, _REACH])
+    low, high = min(low, 0.0) - 1, max(high, 0.0) + 1
+    aside = max(float(np.percentile(np.abs(seen[0]), _REACH)), 1.2 * (high - low))
+    axes.set(xlim=(-aside, aside), ylim=(low, high))
+    axes.set_aspect("equal", adjustable="box")
+    axes.set(xlabel="right (m)", ylabel="forward (m)", title="the map from above, ellipses of two standard deviations")
+
+
+def _ellipse(covariance: NDArray[np.float64], sigmas: float) -> tuple[float, float, float]:
+    """Full axes and angle (degrees) of the ellipse of a covariance (2, 2)."""
+    values, vectors = np.linalg.eigh(covariance)
+    width, height = 2 * sigmas * np.sqrt(np.maximum(values, 0))
+    return float(width), float(height), float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))

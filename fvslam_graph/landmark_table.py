@@ -1,0 +1,58 @@
+"""landmarks.csv: what became of every landmark in every frame of visual SLAM."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.slam.estimate import Outcome, SlamEstimate
+
+NEW = "new"  # in place of an outcome: begins at this frame
+_NUMBERS = (
+    *("expected_u", "expected_v", "ellipse_uu", "ellipse_uv", "ellipse_vv", "u", "v"),
+    *("x", "y", "z", "cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz"),
+)
+COLUMNS = ("frame", "id", "outcome", "age", *_NUMBERS)
+
+
+def landmark_rows(slam: SlamEstimate) -> str:
+    """The lines of a frame: pixels of what was looked for, then positions (m, in the camera) of what is kept.
+
+    A landmark that was not found has no pixel, one that was dropped no position; these cells are empty.
+    """
+    searched, kept = slam.searched, slam.landmarks
+    ids = np.union1d(searched.ids, kept.ids)
+    values = np.full((len(ids), len(_NUMBERS)), np.nan)
+    outcomes = np.full(len(ids), NEW, dtype=object)
+    ages = np.full(len(ids), -1)
+    new = np.searchsorted(ids, kept.ids[kept.ages == 0])
+    values[new, 5:7] = kept.pixels[kept.ages == 0]
+    rows = np.searchsorted(ids, searched.ids)
+    ellipses = searched.ellipses.reshape(-1, 4)[:, [0, 1, 3]]
+    values[rows, :7] = np.hstack([searched.expected, ellipses, searched.pixels])
+    outcomes[rows] = [Outcome(outcome).name.lower() for outcome in searched.outcome]
+    rows = np.searchsorted(ids, kept.ids)
+    values[rows, 7:] = np.hstack([kept.points, kept.covariances.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]])
+    ages[rows] = kept.ages
+    lines = []
+    for identity, outcome, age, numbers in zip(ids, outcomes, ages, values, strict=True):
+        cells = ("" if np.isnan(number) else f"{number:.6g}" for number in numbers)
+        lines.append(",".join((str(slam.index), str(identity), outcome, "" if age < 0 else str(age), *cells)) + "\n")
+    return "".join(lines)
+
+
+def read_landmarks(path: Path, frame: int) -> dict[str, NDArray[np.generic]]:
+    """The columns of one frame; NaN where a cell is empty.
+
+    Raises:
+        ValueError: The file is damaged.
+    """
+    lines = path.read_text().splitlines()[1:]
+    cells = np.array([line.split(",") for line in lines if line.startswith(f"{frame},")]).reshape(-1, len(COLUMNS))
+    columns: dict[str, NDArray[np.generic]] = {"outcome": cells[:, COLUMNS.index("outcome")]}
+    for name in ("id", *_NUMBERS):
+        column = cells[:, COLUMNS.index(name)]
+        columns[name] = np.where(column == "", "nan", column).astype(float)
+    return columns
