@@ -52,15 +52,15 @@ class MapManager:
 
         Args:
             state: In the present camera.
-            searched: What became of its landmarks.
+            searched: What became of its landmarks, in their order.
         """
         if len(searched):
             self._share += SMOOTHING * (float(searched.measured.mean()) - self._share)
-        in_view = searched.ids[searched.outcome != Outcome.OUT_OF_VIEW]
-        self.records = self.records.counted(in_view, searched.ids[searched.measured])
+        in_view = searched.outcome != Outcome.OUT_OF_VIEW
+        self.records = self.records.counted(state.ids, in_view, searched.measured)
         mine = self.records.of(state.ids)
         rare = (mine.expected >= TRIALS) & (mine.measured < MIN_SUCCESS * mine.expected)
-        state = state.without(rare | ~np.isin(state.ids, in_view))
+        state = state.without(rare | ~in_view)
         inverse, _ = state.landmark_covariances()
         index = linearity_index(state.inverse, np.sqrt(inverse[:, 5, 5]))
         return state.with_points((index < LINEARITY) & (state.inverse[:, 5] > 0))

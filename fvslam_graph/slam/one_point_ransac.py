@@ -37,8 +37,8 @@ def low_innovation_inliers(
     """The largest set of matches in which each lies where the others lead to.
 
     A hypothesis takes one match as right. Those that it does not rule out are then held against each other (the local
-    optimisation), since one match leaves some of the motion open, such as the roll. The best set is checked once more,
-    linearised where it leads to.
+    optimisation), since one match leaves some of the motion open, such as the roll. Where it leads far from what was
+    expected, the best set is checked once more, linearised there.
 
     Args:
         state: Predicted.
@@ -72,7 +72,8 @@ def low_innovation_inliers(
             best, votes = agree, sum_of_votes
             miss = 1 - best.sum() / len(candidates)
             needed = min(needed, math.ceil(math.log(1 - CONFIDENCE) / math.log(miss))) if miss > 0 else 0
-    if best.any():
+    # What is left out of a linear model is quadratic in the angle by which the view differs from the expected one.
+    if best.any() and (innovation[best] ** 2).sum(axis=1).max() > slack * camera.fx / 4:
         rows = np.repeat(best, 2)
         error = product[rows].T @ np.linalg.solve(spread[np.ix_(rows, rows)], innovation[best].ravel())
         there = predict_pixels(state.moved(error), seconds, camera)

@@ -34,7 +34,9 @@ class PatchFinder:
     def __init__(self, camera: Camera, features: FeatureSettings, settings: SlamSettings) -> None:
         self.camera = camera
         self.settings = settings
-        self._features = features.model_copy(update={"count": CHOICE * settings.min_landmarks})
+        # A patch is larger than what odometry follows, and so is what makes it stand out.
+        octave = min(features.octave + 1, 3)
+        self._features = features.model_copy(update={"count": CHOICE * settings.min_landmarks, "octave": octave})
         side = 2 * REACH + 1
         self._ids = np.empty(0, np.int64)
         self._tiles = np.empty((0, side, side), np.uint8)

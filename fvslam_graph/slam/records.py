@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -36,14 +36,12 @@ class Records:
         rows = np.searchsorted(self.ids, ids)
         return Records(self.ids[rows], self.born[rows], self.expected[rows], self.measured[rows])
 
-    def counted(self, expected: NDArray[np.int64], measured: NDArray[np.int64]) -> Records:
-        """After a frame in which these landmarks were looked for, and these measured."""
-        return Records(
-            self.ids,
-            self.born,
-            self.expected + np.isin(self.ids, expected),
-            self.measured + np.isin(self.ids, measured),
-        )
+    def counted(self, ids: NDArray[np.int64], expected: NDArray[np.bool_], measured: NDArray[np.bool_]) -> Records:
+        """After a frame in which some of the landmarks `ids`, (K,), were expected, (K,), and some measured, (K,)."""
+        rows, more, hits = np.searchsorted(self.ids, ids), self.expected.copy(), self.measured.copy()
+        more[rows] += expected
+        hits[rows] += measured
+        return replace(self, expected=more, measured=hits)
 
     def begun(self, ids: NDArray[np.int64], frame: int) -> Records:
         """With new landmarks, whose ids are higher than all that exist."""
