@@ -152,8 +152,8 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for the runs.")] = Path("runs") / "demo",
     frames: Annotated[int, typer.Option(help="Length of the flight.", min=10)] = 200,
 ) -> None:
-    """Fly a small UAV over generated terrain, estimate its motion with both presets and compare them."""
-    from fvslam_graph.config import load_config
+    """Fly a small UAV over generated terrain, estimate its motion in all modes and with both presets, compare."""
+    from fvslam_graph.config import Mode, load_config
     from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.evaluation.report import rich_table
@@ -162,10 +162,12 @@ def demo(
 
     sequence = open_sequence(f"synthetic:uav?frames={frames}")
     sequence = replace(sequence, load=cache(sequence.load))  # rendering an image takes longer than using it
-    folders = [out / preset for preset in ("tuned", "paper")]
-    for folder in folders:
-        _run(sequence, load_config(folder.name), folder)
-        evaluate_run(folder, align=Alignment.SE3)
+    folders = []
+    for mode in Mode:
+        for preset in ("tuned", "paper"):
+            folders.append(out / f"{mode}-{preset}")
+            _run(sequence, load_config(preset, settings=[f"mode={mode}"]), folders[-1])
+            evaluate_run(folders[-1], align=Alignment.SE3)
     plots = plot_runs(folders, out / "plots", Alignment.SE3)
     _show(rich_table(folders))
     typer.echo(f"plots: {', '.join(str(file) for file in plots if file.suffix == '.png')}")

@@ -143,3 +143,18 @@ def test_the_same_seed_gives_the_same_bits(flown):
     for a, b in zip(first, second, strict=True):
         assert np.array_equal(a.pose.mean.matrix(), b.pose.mean.matrix())
         assert np.array_equal(a.pose.covariance, b.pose.covariance)
+
+
+def test_darkness_is_coasted_through(flown):
+    """The motion goes on as it was, less and less certain; when it is light again, it is found in the map."""
+    dark = np.zeros((480, 640), np.uint8)
+    night = replace(flown, load=lambda index: dark if 10 <= index < 18 else flown.load(index))
+    results = list(estimate(night, load_config(settings=["mode=vslam"])))
+    statuses = [result.status for result in results]
+    assert statuses[10:18] == [Status.COASTED] * 8
+    assert set(statuses[18:]) == {Status.TRACKED}  # part of the map is still in view
+    spread = [np.trace(result.pose.covariance[3:, 3:]) for result in results]
+    assert np.all(np.diff(spread[9:18]) > 0)
+    error = results[17].pose.mean.translation() - flown.ground_truth.positions[17]
+    assert 0.05 < np.linalg.norm(error) < 2.0  # metres after 10 in the dark; measured 0.6
+    assert np.linalg.norm(error) < 3 * np.sqrt(spread[17])

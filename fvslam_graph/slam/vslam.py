@@ -34,6 +34,7 @@ from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.trajectory import Status
 
 PATIENCE = 3  # images in a row without enough matches before the map is rebuilt
+MIN_CANDIDATES = 10  # corners that an image has at least, for a map to be built on it
 SURPRISE = 4.0  # an image that did not fit the map may have been a motion that the noise does not allow for
 UNKNOWN_RATE = 0.5  # rad/s, and distances to the landmarks per second: standard deviation where nothing is known
 RESCUE_GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
@@ -183,13 +184,15 @@ class VSlam:
         return agree
 
     def _judge(self, frame: Frame, lost: bool) -> Status:
-        """A bad image is passed over; after some that do not fit the map, it is given up."""
+        """A bad image is passed over; after some that do not fit the map, it is given up for one that has texture."""
         if frame.image is None:
             return Status.SKIPPED
         self._failures = self._failures + 1 if lost else 0
         if not lost:
             return Status.TRACKED
-        return Status.COASTED if self._failures < PATIENCE else Status.REINITIALISED
+        if self._failures < PATIENCE or len(self.finder.candidates(frame, np.empty((0, 2)))) < MIN_CANDIDATES:
+            return Status.COASTED
+        return Status.REINITIALISED
 
     def _brought_up_to_date(
         self, state: State, frame: Frame, searched: Searched, status: Status, points: KnownPoints | None
