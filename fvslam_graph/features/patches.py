@@ -110,17 +110,19 @@ def search(
     near = (xx <= 1) & (yy <= 1)  # these count, however small the ellipse is
     information = (4 * np.linalg.inv(covariances) / gate).astype(np.float32)
     found, correlation = expected.copy(), np.full(len(patches), -1.0)
-    for n in np.flatnonzero((low <= high).all(axis=1)):
-        (left, top), (right, bottom) = low[n], high[n] + 1
+    inside_image = np.flatnonzero((low <= high).all(axis=1))
+    corner = low - middle + limit  # of the search in the table of distances
+    boxes = np.hstack([low, high + 1, corner])[inside_image].tolist()
+    for n, (left, top, right, bottom, column, row), (a, b, d) in zip(
+        inside_image, boxes, information.reshape(-1, 4)[inside_image][:, [0, 1, 3]], strict=True
+    ):
         window = halved[top - half : bottom + half, left - half : right + half]
         scores = cv2.matchTemplate(window, templates[n], cv2.TM_CCOEFF_NORMED)
-        columns = slice(left - middle[n, 0] + limit, right - middle[n, 0] + limit)
-        rows = slice(top - middle[n, 1] + limit, bottom - middle[n, 1] + limit)
-        (a, b), (_, d) = information[n]
-        inside = a * xx[columns] + 2 * b * xy[rows, columns] + d * yy[rows] <= 1
+        columns, rows = slice(column, column + right - left), slice(row, row + bottom - top)
+        inside = a * xx[columns] + (2 * b) * xy[rows, columns] + d * yy[rows] <= 1
         inside |= near[rows, columns]
-        _, correlation[n], _, best = cv2.minMaxLoc(scores, inside.view(np.uint8))
-        found[n] = 2 * (low[n] + best) + 0.5
+        _, correlation[n], _, (x, y) = cv2.minMaxLoc(scores, inside.view(np.uint8))
+        found[n] = 2 * (left + x) + 0.5, 2 * (top + y) + 0.5
     return found, correlation
 
 

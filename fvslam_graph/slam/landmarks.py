@@ -20,10 +20,11 @@ _LEAST_INVERSE_DEPTH = 1e-9  # 1/m, beyond which distances are not computed
 def direction(azimuth: Array, elevation: Array) -> tuple[Array, Array]:
     """Unit vectors (N, 3) and their Jacobian (N, 3, 2); azimuth is to the right, elevation upwards, radians."""
     sin_a, cos_a, sin_e, cos_e = np.sin(azimuth), np.cos(azimuth), np.sin(elevation), np.cos(elevation)
-    unit = np.stack([cos_e * sin_a, -sin_e, cos_e * cos_a], axis=1)
-    by_azimuth = np.stack([cos_e * cos_a, np.zeros_like(sin_a), -cos_e * sin_a], axis=1)
-    by_elevation = np.stack([-sin_e * sin_a, -cos_e, -sin_e * cos_a], axis=1)
-    return unit, np.stack([by_azimuth, by_elevation], axis=2)
+    unit, by_angles = np.empty((len(azimuth), 3)), np.zeros((len(azimuth), 3, 2))
+    unit[:, 0], unit[:, 1], unit[:, 2] = cos_e * sin_a, -sin_e, cos_e * cos_a
+    by_angles[:, 0, 0], by_angles[:, 2, 0] = unit[:, 2], -unit[:, 0]
+    by_angles[:, 0, 1], by_angles[:, 1, 1], by_angles[:, 2, 1] = -sin_e * sin_a, -cos_e, -sin_e * cos_a
+    return unit, by_angles
 
 
 def angles(vectors: Array) -> tuple[Array, Array]:
@@ -31,9 +32,11 @@ def angles(vectors: Array) -> tuple[Array, Array]:
     x, y, z = vectors.T
     level = np.hypot(x, z)
     square = level**2 + y**2
-    by_azimuth = np.stack([z / level**2, np.zeros_like(x), -x / level**2], axis=1)
-    by_elevation = np.stack([x * y / (level * square), -level / square, y * z / (level * square)], axis=1)
-    return np.stack([np.arctan2(x, z), np.arctan2(-y, level)], axis=1), np.stack([by_azimuth, by_elevation], axis=1)
+    jacobian = np.zeros((len(vectors), 2, 3))
+    jacobian[:, 0, 0], jacobian[:, 0, 2] = z / level**2, -x / level**2
+    jacobian[:, 1, 0], jacobian[:, 1, 2] = x * y / (level * square), y * z / (level * square)
+    jacobian[:, 1, 1] = -level / square
+    return np.column_stack([np.arctan2(x, z), np.arctan2(-y, level)]), jacobian
 
 
 def scaled_points(inverse: Array) -> tuple[Array, Array]:
@@ -98,7 +101,7 @@ def linearity_index(inverse: Array, sigma: Array) -> Array:
 
 def hat(vectors: Array) -> Array:
     """Matrices (N, 3, 3) of the cross product with vectors (N, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    rows = ([zero, -z, y], [z, zero, -x], [-y, x, zero])
-    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
+    crosses = np.zeros((len(vectors), 3, 3))
+    crosses[:, 2, 1], crosses[:, 0, 2], crosses[:, 1, 0] = vectors.T
+    crosses[:, 1, 2], crosses[:, 2, 0], crosses[:, 0, 1] = -vectors.T
+    return crosses

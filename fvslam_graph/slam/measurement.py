@@ -75,7 +75,9 @@ def predict_pixels(state: State, seconds: float, camera: Camera) -> Prediction:
     by_seen[:, 0, 0], by_seen[:, 1, 1] = camera.fx / depth, camera.fy / depth
     by_seen[:, 0, 2], by_seen[:, 1, 2] = -camera.fx * seen[:, 0] / depth**2, -camera.fy * seen[:, 1] / depth**2
     # A pose perturbed by (w, v) on the right sees the point y with weight r at y + [y]x w - r v.
-    seen_by_motion = np.concatenate([hat(seen), -weights[:, None, None] * np.eye(3)], axis=2)
+    seen_by_motion = np.zeros((len(seen), 3, 6))
+    seen_by_motion[:, :, :3] = hat(seen)
+    seen_by_motion[:, :, 3:] = -weights[:, None, None] * np.eye(3)
     by_velocity = by_seen @ (seen_by_motion @ by_velocity)
 
     split = len(state.inverse)
