@@ -158,7 +158,7 @@ def test_an_output_that_cannot_be_written(drive, tmp_path, refused):
     file.write_text("mine")
     refused("file cannot be written: File exists", "run", drive, "--out", file)
     refused("file/run cannot be written: Not a directory", "run", drive, "--out", file / "run")
-    refused("file/tuned cannot be written: Not a directory", "demo", "--out", file)
+    refused("file/vo-tuned cannot be written: Not a directory", "demo", "--out", file)
     assert file.read_text() == "mine"
 
 
