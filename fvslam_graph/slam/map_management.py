@@ -7,6 +7,7 @@ import math
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import SlamSettings
@@ -117,12 +118,12 @@ class MapManager:
 
 def spread_out(candidates: Array, taken: Array, count: int) -> NDArray[np.intp]:
     """Rows of up to `count` candidates (N, 2), far from those `taken` (M, 2) and from each other."""
-    gap = np.linalg.norm(candidates[:, None] - taken, axis=2).min(axis=1, initial=np.inf)
+    gap = cdist(candidates, taken).min(axis=1, initial=np.inf)
     chosen: list[int] = []
     for _ in range(min(count, len(candidates))):
         farthest = int(np.argmax(gap))
         if gap[farthest] < SPACING:
             break
         chosen.append(farthest)
-        gap = np.minimum(gap, np.linalg.norm(candidates - candidates[farthest], axis=1))
+        gap = np.minimum(gap, cdist(candidates, candidates[farthest, None])[:, 0])
     return np.array(chosen, np.intp)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
+import cv2
 import gtsam
 import numpy as np
 import scipy.linalg
@@ -237,10 +238,12 @@ def sparse_rows(blocks: list[tuple[Array, NDArray[np.intp]]], width: int) -> sci
 
 def transformed(covariance: Array, jacobian: scipy.sparse.csr_array) -> Array:
     """J P J^T, exactly symmetric."""
-    product = jacobian @ (jacobian @ covariance).T
-    return symmetric(product)
+    return symmetric(jacobian @ cv2.transpose(jacobian @ covariance))
 
 
 def symmetric(matrix: Array) -> Array:
-    """The symmetric part of a matrix."""
-    return (matrix + matrix.T) / 2
+    """The symmetric part of a matrix; OpenCV transposes large ones in blocks, several times faster than NumPy."""
+    mean: Array = cv2.transpose(matrix)
+    mean += matrix
+    mean *= 0.5
+    return mean
