@@ -82,6 +82,8 @@ class Mode(StrEnum):
 
     VO = "vo"  # visual odometry alone
     VSLAM = "vslam"  # EKF visual SLAM alone; visual odometry only starts it
+    AVERAGE = "average"  # the paper: both, fused by their weighted mean at every interleaved frame
+    INTERSECTION = "intersection"  # both, fused by covariance intersection
 
 
 class SlamSettings(_Group):
@@ -91,7 +93,8 @@ class SlamSettings(_Group):
     min_landmarks: PositiveInt = Field(25, ge=8, le=1000)  # measured in every frame, where the image has as many
     min_matches: PositiveFloat = 3.0  # of landmarks at known depths; fewer that agree, and the motion model carries on
     min_share: float = Field(0.15, ge=0, le=1)  # of the matches, that have to agree, likewise
-    motion: Literal["constant_velocity", "odometry"] = "constant_velocity"  # what predicts the next frame
+    # What predicts the next frame; by itself the velocity in mode vslam, odometry where both run.
+    motion: Literal["constant_velocity", "odometry"] | None = None
     linear_noise: PositiveFloat = 1.0  # m/s^1.5, root of the spectral density that drives the velocity
     angular_noise: PositiveFloat = 0.3  # rad/s^1.5, likewise
     pixel_sigma: PositiveFloat = 0.5  # pixels, of a matched landmark along each axis
@@ -100,6 +103,14 @@ class SlamSettings(_Group):
     unknown_distance: PositiveFloat = 10.0  # metres, of landmarks where the map is lost at once
     ncc_threshold: float = Field(0.7, ge=0, le=1)  # least correlation of a match
     search_radius: PositiveInt = 80  # pixels at most along each axis, however large an ellipse is
+
+
+class FusionSettings(_Group):
+    """How the estimates of both are made one."""
+
+    weight: float = Field(0.5, ge=0, le=1)  # of visual SLAM in the mean
+    geodesic: bool = False  # whether the mean is that of SE(3), instead of position and rotation apart
+    criterion: Literal["determinant", "trace"] = "determinant"  # what covariance intersection makes smallest
 
 
 class Config(_Group):
@@ -112,6 +123,7 @@ class Config(_Group):
     vo: VoSettings = VoSettings()
     scale: ScaleSettings = ScaleSettings()
     slam: SlamSettings = SlamSettings()
+    fusion: FusionSettings = FusionSettings()
 
     @property
     def interleave(self) -> int:
@@ -119,9 +131,14 @@ class Config(_Group):
         return self.slam.interleave or (1 if self.mode is Mode.VSLAM else 5)
 
     @property
+    def odometry_is_prior(self) -> bool:
+        """Whether visual odometry predicts the next frame of visual SLAM."""
+        return (self.slam.motion or ("constant_velocity" if self.mode is Mode.VSLAM else "odometry")) == "odometry"
+
+    @property
     def needs_odometry(self) -> bool:
         """Whether visual odometry runs on every frame, and not only until visual SLAM has started."""
-        return self.mode is not Mode.VSLAM or self.slam.motion == "odometry" or self.interleave > 1
+        return self.mode is not Mode.VSLAM or self.odometry_is_prior or self.interleave > 1
 
 
 # The defaults above are `tuned`. `paper` is what the paper says: FAST corners matched as patterns between consecutive

@@ -11,7 +11,10 @@ import numpy as np
 from fvslam_graph.config import Config, Mode, ScaleSource
 from fvslam_graph.errors import ConfigError
 from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.fusion.average import Average
+from fvslam_graph.fusion.intersection import Intersection
 from fvslam_graph.fusion.odometry_chain import OdometryChain
+from fvslam_graph.fusion.rule import FusionRule
 from fvslam_graph.results import FrameResult
 from fvslam_graph.sequences.base import Frame, Sequence
 from fvslam_graph.slam.estimate import Outcome, SlamEstimate
@@ -43,7 +46,7 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     chain = OdometryChain()  # the motion since P_f
     reference = GaussianPose.identity()  # P_f
-    latest: VoEstimate | SlamEstimate  # what measured the newest motion
+    rule = _rule(config)
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
         with stopwatch.stage("read"):
@@ -52,16 +55,24 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
         odometry: VoEstimate | None = None
         slam: SlamEstimate | None = None
         if config.needs_odometry or not vslam.started:
-            latest = odometry = vo.step(frame)  # O_f
-            chain.add(index, odometry.previous, odometry.prev_T_cur)
-        if config.mode is not Mode.VO:
-            if odometry is not None and not vslam.started:
-                slam = _start(vslam, frame, odometry, reference.compose(chain.motion), sequence, config)
-            elif index - vslam.index >= config.interleave:
-                prior = chain.motion if config.slam.motion == "odometry" else None
-                latest = slam = vslam.step(frame, prior)  # S_f
-        if slam is not None:
-            reference = slam.pose
+            odometry = vo.step(frame)
+            previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
+            chain.add(index, previous, motion)
+        if config.mode is not Mode.VO and not vslam.started and odometry is not None:
+            slam = _start(vslam, frame, odometry, reference.compose(chain.motion), sequence, config)
+            if slam is not None:
+                reference = slam.pose
+                chain.anchor()
+        elif config.mode is not Mode.VO and index - vslam.index >= config.interleave:
+            slam = vslam.step(frame, chain.motion if config.odometry_is_prior else None)
+            previous, motion, status = slam.previous, slam.prev_T_cur, slam.status
+            if rule is None:
+                reference = slam.pose
+            else:
+                # Both have moved on from P_f; where visual SLAM is lost, odometry carries on alone.
+                motion = rule(chain.motion, motion) if status is Status.TRACKED else chain.motion
+                reference = reference.compose(motion)
+                vslam.rebase(reference)
             chain.anchor()
 
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
@@ -70,13 +81,20 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
             index=index,
             stamp=frame.stamp,
             pose=reference.compose(chain.motion),
-            status=latest.status,
-            previous=latest.previous,
-            relative=latest.prev_T_cur,
+            status=status,
+            previous=previous,
+            relative=motion,
             measures=_measures(config, odometry, slam),
             times=times,
             slam=slam,
         )
+
+
+def _rule(config: Config) -> FusionRule | None:
+    """What makes one motion of two; None where only one subsystem tells."""
+    if config.mode is Mode.AVERAGE:
+        return Average(config.fusion.weight, config.fusion.geodesic)
+    return Intersection(config.fusion.criterion) if config.mode is Mode.INTERSECTION else None
 
 
 def _start(

@@ -137,7 +137,7 @@ def test_info(drive, fvslam):
 def test_demo(tmp_path, fvslam):
     code, out, err = fvslam("demo", "--frames", 10, "--out", tmp_path)
     assert (code, err) == (0, "")
-    for name in ("vo-tuned", "vo-paper", "vslam-tuned", "vslam-paper"):
+    for name in ("vo-tuned", "vslam-tuned", "average-tuned", "intersection-tuned", "average-paper"):
         assert (tmp_path / name / "metrics.json").is_file()
         assert f" {name} " in out
     plots = out.splitlines()[-1].removeprefix("plots: ").split(", ")

@@ -158,3 +158,42 @@ def test_darkness_is_coasted_through(flown):
     error = results[17].pose.mean.translation() - flown.ground_truth.positions[17]
     assert 0.05 < np.linalg.norm(error) < 2.0  # metres after 10 in the dark; measured 0.6
     assert np.linalg.norm(error) < 3 * np.sqrt(spread[17])
+
+
+@pytest.mark.parametrize("mode", ["average", "intersection"])
+def test_both_fused_at_every_fifth_frame(flown, mode):
+    results = list(estimate(flown, load_config(settings=[f"mode={mode}"])))
+    ran = [result.index for result in results if result.slam is not None]
+    assert np.all(np.diff(ran) == 5)
+    assert {result.status for result in results[1:]} == {Status.TRACKED}
+    for result in results[1:]:
+        # What was measured across a fusion does not lead from one online pose to the next: they are re-anchored.
+        if result.slam is not None or result.previous >= max((i for i in ran if i < result.index), default=0):
+            assert result.pose.mean.equals(results[result.previous].pose.mean * result.relative.mean, 1e-9)
+    fused = results[ran[1]]
+    assert fused.previous == ran[0]  # the motion since the last fusion
+    assert not fused.pose.mean.equals(fused.slam.pose.mean, 1e-6)
+    error = results[-1].pose.mean.between(flown.ground_truth.poses[23])
+    assert 0.005 < np.linalg.norm(error.translation()) < 0.5  # metres on 29 m; measured 0.1
+
+
+def test_the_weight_leads_from_one_to_the_other(flown):
+    def fused(weight: float) -> list:
+        return list(estimate(flown, load_config(settings=["mode=average", f"fusion.weight={weight}"])))
+
+    alone = list(estimate(flown, load_config()))
+    for a, b in zip(fused(0.0), alone, strict=True):
+        assert a.pose.mean.equals(b.pose.mean, 1e-9)
+    third = fused(1.0)
+    index = [result.index for result in third if result.slam is not None][1]
+    assert third[index].pose.mean.equals(third[index].slam.pose.mean, 1e-9)
+
+
+def test_odometry_carries_on_alone_where_visual_slam_is_lost(flown):
+    """Too few matches over an interval: that fusion is left out, with a status that says so."""
+    settings = ["mode=average", "slam.min_matches=1000"]
+    results = list(estimate(flown, load_config(settings=settings)))
+    ran = [result for result in results if result.slam is not None][1:]
+    assert {result.status for result in ran} <= {Status.COASTED, Status.REINITIALISED}
+    for a, b in zip(results, estimate(flown, load_config()), strict=True):
+        assert a.pose.mean.equals(b.pose.mean, 1e-9)
