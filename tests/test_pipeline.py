@@ -172,7 +172,8 @@ def test_both_fused_at_every_fifth_frame(flown, mode):
             assert result.pose.mean.equals(results[result.previous].pose.mean * result.relative.mean, 1e-9)
     fused = results[ran[1]]
     assert fused.previous == ran[0]  # the motion since the last fusion
-    assert not fused.pose.mean.equals(fused.slam.pose.mean, 1e-6)
+    if mode == "average":  # the intersection may give all weight to the smaller covariance
+        assert not fused.pose.mean.equals(fused.slam.pose.mean, 1e-6)
     error = results[-1].pose.mean.between(flown.ground_truth.poses[23])
     assert 0.005 < np.linalg.norm(error.translation()) < 0.5  # metres on 29 m; measured 0.1
 
