@@ -92,15 +92,13 @@ def with_new_landmarks(
     by_pixel = by_ray[:, :, :2] / (camera.fx, camera.fy)
     new = np.column_stack([np.zeros((len(ids), 3)), pointing, prior.inverse])
 
-    noise = np.zeros((len(ids), INVERSE, len(ids), INVERSE))
-    each = np.arange(len(ids))
-    noise[each, 3:5, each, 3:5] = sigma**2 * by_pixel @ by_pixel.mT
-    noise[:, 5, :, 5] = prior.covariance
     # Only the inverse distances depend on what is in the state.
     cross = np.zeros((len(ids), INVERSE, len(state.covariance)))
     cross[:, 5] = prior.by_state @ state.covariance
-    own = noise.copy()
-    own[:, 5, :, 5] += cross[:, 5] @ prior.by_state.T
+    own = np.zeros((len(ids), INVERSE, len(ids), INVERSE))
+    each = np.arange(len(ids))
+    own[each, 3:5, each, 3:5] = sigma**2 * by_pixel @ by_pixel.mT
+    own[:, 5, :, 5] = prior.covariance + cross[:, 5] @ prior.by_state.T
 
     # Points come after all landmarks in inverse depth.
     begin, old = len(state.covariance) - state.points.size, state.covariance

@@ -14,6 +14,7 @@ from fvslam_graph.slam.landmarks import Array, hat, scaled_points
 from fvslam_graph.slam.motion import travelled
 from fvslam_graph.slam.state import State, sparse_rows, symmetric
 
+GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom, as a pixel has
 MAX_ITERATIONS = 10
 CONVERGED = 0.2  # of a pixel's deviation; a smaller departure from linear ends the iteration
 

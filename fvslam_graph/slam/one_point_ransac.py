@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.slam.landmarks import Array
-from fvslam_graph.slam.measurement import Prediction, predict_pixels
+from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels
 from fvslam_graph.slam.state import State
 
 CONFIDENCE = 0.99  # of having drawn one right match
 MAX_HYPOTHESES = 50
-GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
 KNOWN = 2.0  # pixels; a match that is expected better than this has a whole vote
 
 

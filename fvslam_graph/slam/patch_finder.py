@@ -13,8 +13,8 @@ from fvslam_graph.features.patches import REACH, align, cut_tiles, search, view_
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.slam.finder import Search
 from fvslam_graph.slam.landmarks import Array
+from fvslam_graph.slam.measurement import GATE
 
-GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom: the rim of the ellipse
 MAX_SHIFT = 3.0  # pixels that the alignment may move along each axis from where the search ended
 COARSE_SHARE = 0.8  # of the correlation threshold that has to be reached in the image halved
 CHOICE = 4  # corners per landmark to choose from

@@ -19,7 +19,7 @@ from fvslam_graph.slam.estimate import Landmarks, Outcome, Searched, SlamEstimat
 from fvslam_graph.slam.finder import LandmarkFinder, Search
 from fvslam_graph.slam.landmarks import Array
 from fvslam_graph.slam.map_management import MapManager
-from fvslam_graph.slam.measurement import Prediction, predict_pixels, update
+from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels, update
 from fvslam_graph.slam.motion import (
     compose,
     last_motion,
@@ -37,7 +37,6 @@ PATIENCE = 3  # images in a row without enough matches before the map is rebuilt
 MIN_CANDIDATES = 10  # corners that an image has at least, for a map to be built on it
 SURPRISE = 4.0  # an image that did not fit the map may have been a motion that the noise does not allow for
 UNKNOWN_RATE = 0.5  # rad/s, and distances to the landmarks per second: standard deviation where nothing is known
-RESCUE_GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
 # The matrices are small: a second thread costs more than it brings, and the sums would depend on the machine.
 _BLAS = ThreadpoolController()
 
@@ -90,7 +89,7 @@ class VSlam:
         self.index, self._stamp = frame.index, frame.stamp
         state = predict_from_odometry(State.at(pose.mean, pose.covariance), prev_T_cur, seconds)
         state = self._map.grown(state, frame, points, self._map_T_camera)
-        return self._arrive(frame, state, Searched.none(), Status.TRACKED)
+        return self._arrive(frame, state, prev_T_cur, Searched.none(), Status.TRACKED)
 
     @_BLAS.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
     def step(
@@ -139,6 +138,7 @@ class VSlam:
             prev_T_cur, _ = travelled(state.velocity, seconds)
             self._map_T_camera = self._map_T_camera.compose(prev_T_cur)
             state = compose(state, seconds)
+            motion = last_motion(state, seconds)
 
         # Drop and begin landmarks.
         outcome = np.where(found, Outcome.REJECTED, np.where(visible, Outcome.UNMATCHED, Outcome.OUT_OF_VIEW))
@@ -148,7 +148,7 @@ class VSlam:
         status = self._judge(frame, lost)
         with self._stopwatch.stage("map"):
             state = self._brought_up_to_date(state, frame, searched, status, points)
-            return self._arrive(frame, state, searched, status)
+            return self._arrive(frame, state, motion, searched, status)
 
     def rebase(self, pose: GaussianPose) -> None:
         """Go on from another pose world_T_camera; the map in the camera stays as it is."""
@@ -180,7 +180,7 @@ class VSlam:
         innovation = (pixels - prediction.pixels)[agree]
         spread = prediction.innovation_covariances(state, agree, self.settings.pixel_sigma)
         distance = (innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]).sum(axis=1)
-        agree[agree] = distance < RESCUE_GATE
+        agree[agree] = distance < GATE
         return agree
 
     def _judge(self, frame: Frame, lost: bool) -> Status:
@@ -214,16 +214,17 @@ class VSlam:
         standing = GaussianPose(gtsam.Pose3(), covariance)
         return predict_from_odometry(State.at(state.world_T_camera, state.covariance[POSE, POSE]), standing, 1.0)
 
-    def _arrive(self, frame: Frame, state: State, searched: Searched, status: Status) -> SlamEstimate:
+    def _arrive(
+        self, frame: Frame, state: State, motion: GaussianPose, searched: Searched, status: Status
+    ) -> SlamEstimate:
         """Take over the state in the new camera, and say what it is."""
         self._state = state = state.with_scale_apart()
-        previous, self.index = self.index, frame.index
-        seconds, self._stamp = frame.stamp - self._stamp, frame.stamp
+        previous, self.index, self._stamp = self.index, frame.index, frame.stamp
         return SlamEstimate(
             index=frame.index,
             previous=previous,
             pose=GaussianPose(state.world_T_camera, state.covariance[POSE, POSE]),
-            prev_T_cur=last_motion(state, seconds),
+            prev_T_cur=motion,
             status=status,
             searched=searched,
             landmarks=Landmarks(

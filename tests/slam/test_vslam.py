@@ -158,6 +158,9 @@ def test_a_lost_map_is_rebuilt_and_the_pose_kept():
     assert len(by_index[12].landmarks) >= NOISY.min_landmarks and by_index[12].landmarks.ages.max() == 0
     assert by_index[18].status is Status.TRACKED
     assert all(a.status is not Status.TRACKED or len(a.landmarks) for a in estimates)
+    # The motion that led there is told, although the velocity is forgotten.
+    led = by_index[11].pose.mean.between(by_index[12].pose.mean)
+    assert by_index[12].prev_T_cur.mean.equals(led, 0.02) and np.linalg.norm(led.translation()) > 0.5
     # The pose goes on from where it was, and what was uncertain remains so.
     last, first = by_index[12].pose.mean, by_index[13]
     assert first.pose.mean.equals(last.compose(first.prev_T_cur.mean), 0.02)
