@@ -26,6 +26,7 @@ TRIALS = 3  # how often a landmark is looked for before it is judged
 MIN_SUCCESS = 0.5  # share of these in which it has to be measured
 SMOOTHING = 0.2  # weight of the newest frame in the share of landmarks that are measured
 LEAST_SHARE = 0.3  # below, more landmarks would not help
+RESERVE = 1.15  # the map grows to so many times what it needs, so that not every image is searched for corners
 RIM = 0.1  # of the image's height, in which no landmark begins, as it would soon be out of view
 LINEARITY = 0.1  # index below which a landmark is taken as a point (Civera, Davison, Montiel 2008, section V)
 
@@ -82,8 +83,9 @@ class MapManager:
         if len(here):
             self.distance = float(np.median(np.linalg.norm(here, axis=1)))
         # Some landmarks of the map will leave the view or not be found.
-        wanted = math.ceil(self.settings.min_landmarks / max(self._share, LEAST_SHARE)) - len(state)
-        if wanted > 0 and frame.image is not None:
+        needed = self.settings.min_landmarks / max(self._share, LEAST_SHARE)
+        if len(state) < needed and frame.image is not None:
+            wanted = math.ceil(RESERVE * needed) - len(state)
             candidates = self.finder.candidates(frame, taken) if points is None else points.pixels
             inside = np.flatnonzero(self.camera.contains(candidates, MARGIN + RIM * self.camera.height))
             chosen = inside[spread_out(candidates[inside], taken, wanted)]

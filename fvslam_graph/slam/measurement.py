@@ -137,4 +137,6 @@ def update(
         linear = innovation - jacobian @ error
         if np.abs((pixels - prediction.pixels)[chosen].ravel() - linear).max() < CONVERGED * sigma:
             break
-    return replace(state, covariance=origin.covariance - gain.T @ gain), prediction
+    covariance = gain.T @ gain
+    np.subtract(origin.covariance, covariance, out=covariance)  # in place: new memory costs more than the arithmetic
+    return replace(state, covariance=covariance), prediction

@@ -18,7 +18,7 @@ from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels
 from fvslam_graph.slam.state import State
 
 CONFIDENCE = 0.99  # of having drawn one right match
-MAX_HYPOTHESES = 50
+SAMPLE = 40  # matches, drawn of more, that hypotheses are tested on: enough to tell a right one
 KNOWN = 2.0  # pixels; a match that is expected better than this has a whole vote
 
 
@@ -36,8 +36,9 @@ def low_innovation_inliers(
     """The largest set of matches in which each lies where the others lead to.
 
     A hypothesis takes one match as right. Those that it does not rule out are then held against each other (the local
-    optimisation), since one match leaves some of the motion open, such as the roll. Where it leads far from what was
-    expected, the best set is checked once more, linearised there.
+    optimisation), since one match leaves some of the motion open, such as the roll. Hypotheses compete on a sample of
+    the matches, and all matches are held against the best set. Where it leads far from what was expected, they are
+    checked once more, linearised there.
 
     Args:
         state: Predicted.
@@ -61,16 +62,23 @@ def low_innovation_inliers(
     spread = jacobian @ product.T + noise
     innovation = (pixels - prediction.pixels)[candidates]
 
-    best, votes, needed = np.zeros(len(candidates), bool), 0.0, min(len(candidates), MAX_HYPOTHESES)
-    for tried, drawn in enumerate(rng.permutation(len(candidates))):
+    sample = rng.permutation(len(candidates))[:SAMPLE]
+    rows = (2 * sample[:, None] + (0, 1)).ravel()
+    known, likely = innovation[sample], spread[np.ix_(rows, rows)]
+    chosen, votes, needed = np.zeros(len(sample), bool), 0.0, len(sample)
+    for tried in range(len(sample)):
         if tried >= needed:
             break
-        possible, _ = _agree(np.arange(len(candidates)) == drawn, innovation, spread, slack)
-        agree, sum_of_votes = _agree(possible, innovation, spread, slack)
+        possible, _ = _agree(np.arange(len(sample)) == tried, known, likely, slack)
+        agree, sum_of_votes = _agree(possible, known, likely, slack)
         if sum_of_votes > votes:
-            best, votes = agree, sum_of_votes
-            miss = 1 - best.sum() / len(candidates)
+            chosen, votes = agree, sum_of_votes
+            miss = 1 - chosen.sum() / len(sample)
             needed = min(needed, math.ceil(math.log(1 - CONFIDENCE) / math.log(miss))) if miss > 0 else 0
+    best = np.zeros(len(candidates), bool)
+    best[sample[chosen]] = True
+    if len(sample) < len(candidates):
+        best, votes = _agree(best, innovation, spread, slack)
     # What is left out of a linear model is quadratic in the angle by which the view differs from the expected one.
     if best.any() and (innovation[best] ** 2).sum(axis=1).max() > slack * camera.fx / 4:
         rows = np.repeat(best, 2)

@@ -145,8 +145,9 @@ class State:
         growth[SCALE] = -1.0
         column = self.covariance @ weight
         change = np.outer(growth, column - 0.5 * (weight @ column) * growth)
-        change += change.T.copy()
-        return replace(self, covariance=self.covariance - change)
+        change += cv2.transpose(change)
+        np.subtract(self.covariance, change, out=change)
+        return replace(self, covariance=change)
 
     def without(self, dropped: NDArray[np.bool_]) -> State:
         """The state without the landmarks that are marked, (M + L,)."""
