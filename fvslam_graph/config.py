@@ -95,6 +95,9 @@ class SlamSettings(_Group):
     min_share: float = Field(0.15, ge=0, le=1)  # of the matches, that have to agree, likewise
     # What predicts the next frame; by itself the velocity in mode vslam, odometry where both run.
     motion: Literal["constant_velocity", "odometry"] | None = None
+    # Where odometry runs: landmarks are searched in their ellipses (the paper), or followed by its tracks in between.
+    association: Literal["search", "tracks"] = "tracks"
+    shorten: bool = False  # whether fewer matches than needed halve the interval, until they suffice again
     linear_noise: PositiveFloat = 1.0  # m/s^1.5, root of the spectral density that drives the velocity
     angular_noise: PositiveFloat = 0.3  # rad/s^1.5, likewise
     pixel_sigma: PositiveFloat = 0.5  # pixels, of a matched landmark along each axis
@@ -146,7 +149,7 @@ class Config(_Group):
 _PAPER: dict[str, Any] = {
     "features": {"association": "ncc", "octave": 0, "threshold": 20},
     "vo": {"min_inliers": 25, "min_inlier_share": 0.3, "keyframe_parallax": 0.7},
-    "slam": {"ncc_threshold": 0.8},
+    "slam": {"ncc_threshold": 0.8, "association": "search"},
 }
 
 

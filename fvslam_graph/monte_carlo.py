@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.config import SlamSettings
+from fvslam_graph.config import Config, SlamSettings
 from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.features.scene_tracker import SceneTracker
+from fvslam_graph.pipeline import Eyes, estimate
+from fvslam_graph.results import FrameResult
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.sequences.points import PointScene
 from fvslam_graph.slam.estimate import SlamEstimate
@@ -52,12 +55,27 @@ def run_vslam(
         yield vslam.step(frame_of(scene, index))
 
 
+def run(scene: PointScene, config: Config, wrong: float = 0.0) -> Iterator[FrameResult]:
+    """Any mode on a scene: the loop that runs on images, with other eyes.
+
+    Args:
+        scene: Landmarks and camera path.
+        config: Mode, settings and seed; the scale source `plane` needs images, so that `oracle` is for scenes.
+        wrong: Share of the matches that are wrong.
+    """
+    tracker = SceneTracker(scene, config.features.count, wrong, config.seed)
+    eyes = Eyes(tracker, SceneFinder(scene, wrong, config.seed))
+    return estimate(scene.sequence("points"), config, eyes)
+
+
 def frame_of(scene: PointScene, index: int) -> Frame:
     """A frame of the scene, with an image that shows nothing."""
     return Frame(index, float(scene.trajectory.stamps[index]), _NO_IMAGE)
 
 
-def pose_errors(scene: PointScene, estimates: list[SlamEstimate]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def pose_errors(
+    scene: PointScene, estimates: Iterable[SlamEstimate | FrameResult]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors Logmap(estimate^-1 truth) of the poses (N, 6), rad and m, and their covariances (N, 6, 6)."""
     errors = [
         gtsam.Pose3.Logmap(estimate.pose.mean.between(scene.trajectory.poses[estimate.index])) for estimate in estimates

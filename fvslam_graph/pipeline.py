@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,17 @@ import numpy as np
 from fvslam_graph.config import Config, Mode, ScaleSource
 from fvslam_graph.errors import ConfigError
 from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.features.known_points import KnownPoints
+from fvslam_graph.features.tracks import Association
 from fvslam_graph.fusion.average import Average
+from fvslam_graph.fusion.interleave import Interleave
 from fvslam_graph.fusion.intersection import Intersection
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.fusion.rule import FusionRule
 from fvslam_graph.results import FrameResult
 from fvslam_graph.sequences.base import Frame, Sequence
 from fvslam_graph.slam.estimate import Outcome, SlamEstimate
+from fvslam_graph.slam.finder import LandmarkFinder
 from fvslam_graph.slam.patch_finder import PatchFinder
 from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.stopwatch import Stopwatch
@@ -30,23 +35,38 @@ VO_STAGES = ("association", "pose", "scale", "detection")
 SLAM_STAGES = ("filter", "search", "map")
 
 
+@dataclass(frozen=True)
+class Eyes:
+    """What finds points in images: for odometry, and for visual SLAM."""
+
+    association: Association
+    finder: LandmarkFinder
+
+
 def stages(config: Config) -> tuple[str, ...]:
     """What a frame's time is made up of."""
     return ("read", *VO_STAGES, *(() if config.mode is Mode.VO else SLAM_STAGES))
 
 
-def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
+def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> Iterator[FrameResult]:
     """Run the configured mode over a sequence: one result a frame, in order, as soon as it is known.
+
+    Args:
+        sequence: Its frames are read one by one.
+        config: Mode, settings and seed.
+        eyes: What finds points in images, in place of what the settings say.
 
     Raises:
         ConfigError: The scale source needs what the sequence does not have.
     """
-    vo = VisualOdometry(sequence.camera, config, sequence.ground, _true_baseline(sequence, config))
-    finder = PatchFinder(sequence.camera, config.features, config.slam)
+    baseline, association = _true_baseline(sequence, config), eyes.association if eyes else None
+    vo = VisualOdometry(sequence.camera, config, sequence.ground, baseline, association)
+    finder = eyes.finder if eyes else PatchFinder(sequence.camera, config.features, config.slam)
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     chain = OdometryChain()  # the motion since P_f
     reference = GaussianPose.identity()  # P_f
     rule = _rule(config)
+    interleave = Interleave(config.interleave, config.slam.shorten)
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
         with stopwatch.stage("read"):
@@ -63,9 +83,11 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
             if slam is not None:
                 reference = slam.pose
                 chain.anchor()
-        elif config.mode is not Mode.VO and index - vslam.index >= config.interleave:
-            slam = vslam.step(frame, chain.motion if config.odometry_is_prior else None)
+        elif config.mode is not Mode.VO and index - vslam.index >= interleave.distance:
+            prior = chain.motion if config.odometry_is_prior else None
+            slam = vslam.step(frame, prior, _followed(odometry, config))
             previous, motion, status = slam.previous, slam.prev_T_cur, slam.status
+            interleave.turned_out(well=status is Status.TRACKED)
             if rule is None:
                 reference = slam.pose
             else:
@@ -88,6 +110,13 @@ def estimate(sequence: Sequence, config: Config) -> Iterator[FrameResult]:
             times=times,
             slam=slam,
         )
+
+
+def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None:
+    """What landmarks are followed by between two turns of visual SLAM."""
+    if odometry is None or config.slam.association == "search" or odometry.status is not Status.TRACKED:
+        return None
+    return odometry.points
 
 
 def _rule(config: Config) -> FusionRule | None:
@@ -173,5 +202,6 @@ def _measures(config: Config, odometry: VoEstimate | None, slam: SlamEstimate | 
         "landmarks": float(searched),
         "matched": float(searched - outcomes[Outcome.UNMATCHED]),
         "measured": float(outcomes[Outcome.INLIER] + outcomes[Outcome.RESCUED]),
+        "interval": slam.index - slam.previous if slam else math.nan,
         "map_scale_sigma": slam.scale_sigma if slam else math.nan,
     }

@@ -8,8 +8,11 @@ import pytest
 
 from fvslam_graph.config import ScaleSource, load_config
 from fvslam_graph.errors import ConfigError
+from fvslam_graph.evaluation.nees import nees
+from fvslam_graph.monte_carlo import pose_errors, run
 from fvslam_graph.pipeline import applicable, estimate, facts, stages
 from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.points import simulate_drive
 from fvslam_graph.trajectory import Status
 
 
@@ -198,3 +201,21 @@ def test_odometry_carries_on_alone_where_visual_slam_is_lost(flown):
     assert {result.status for result in ran} <= {Status.COASTED, Status.REINITIALISED}
     for a, b in zip(results, estimate(flown, load_config()), strict=True):
         assert a.pose.mean.equals(b.pose.mean, 1e-9)
+
+
+def test_a_shorter_interval_where_matches_are_few(flown):
+    settings = ["mode=average", "slam.min_matches=1000", "slam.shorten=true"]
+    results = list(estimate(flown, load_config(settings=settings)))
+    intervals = [result.measures["interval"] for result in results if result.slam is not None]
+    assert intervals[1:4] == [5, 2, 1]
+
+
+@pytest.mark.parametrize("mode", ["vo", "average", "intersection"])
+def test_any_mode_runs_on_simulated_points(mode):
+    """Without images; with noise, errors are small, and not larger than the covariances allow."""
+    scene = simulate_drive(frames=40, seed=3, noise=0.5, landmarks=6000)
+    results = list(run(scene, load_config(settings=[f"mode={mode}", "scale.source=oracle"])))
+    errors, covariances = pose_errors(scene, results)
+    assert 1e-3 < np.linalg.norm(errors[-1, 3:]) < 0.3  # metres on 32 m; measured 0.03
+    values, used = nees(errors[5:], covariances[5:])
+    assert used.all() and 0.5 < values.mean() < 15

@@ -1,5 +1,6 @@
 """Evaluation of run folders and of trajectory files, as the command line asks for it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,8 @@ from fvslam_graph.errors import ResultsError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import load_pair
 from fvslam_graph.evaluation.metrics import Evaluation, evaluate
-from fvslam_graph.results import Run, read_run
-from fvslam_graph.trajectory import Status
+from fvslam_graph.results import FrameResult, Relatives, Run, read_run
+from fvslam_graph.trajectory import Status, Trajectory
 
 
 def evaluate_run(folder: Path, reference: Path | None = None, align: Alignment = Alignment.SE3) -> Evaluation:
@@ -37,6 +38,21 @@ def evaluate_files(estimate: Path, reference: Path, align: Alignment = Alignment
         TrajectoryError: A trajectory cannot be read, or the two have no time in common.
     """
     return evaluate(*load_pair(estimate, reference), align, name=estimate.stem)
+
+
+def evaluation_of_results(
+    results: Sequence[FrameResult], truth: Trajectory, align: Alignment = Alignment.SE3, name: str = "estimate"
+) -> Evaluation:
+    """Evaluate what an estimator has said about each frame of a recording; NEES is over the tracked frames."""
+    tracked = np.array([result.status is Status.TRACKED for result in results])[:, None, None]
+    relatives = Relatives(
+        np.array([result.previous for result in results]),
+        np.array([result.relative.mean.matrix() for result in results]),
+        np.where(tracked, np.array([result.relative.covariance for result in results]), np.nan),
+    )
+    stamps = np.array([result.stamp for result in results])
+    online = Trajectory(stamps, tuple(result.pose.mean for result in results))
+    return evaluate(online, truth, align, name, len(results), relatives)
 
 
 def evaluation_of(run: Run, reference: Path | None = None, align: Alignment = Alignment.SE3) -> Evaluation:

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.camera import Camera, Image
 from fvslam_graph.errors import SequenceError
-from fvslam_graph.sequences.base import Ground
+from fvslam_graph.sequences.base import Ground, Sequence
 from fvslam_graph.sequences.worlds.drive import KITTI, drive_middle, drive_motion
 from fvslam_graph.sequences.worlds.motion import RATE, Motion
 from fvslam_graph.sequences.worlds.streams import stream
@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Surface = Callable[[Array, Array, np.random.Generator], Array]
 """Origins (N, 3) and directions (N, 3) of rays, world, to how many directions away something is seen, (N,)."""
 
+_DIGITS = 4  # pixels that hold a frame's number
 _NEAREST = 0.5  # metres; nearer landmarks are not seen
 _HOUSES = 8.5  # metres from the middle of the street
 _REACH = 60.0  # metres; how far along the street landmarks are seen
@@ -87,6 +88,18 @@ class PointScene:
         seen = np.where(is_outlier[:, None], anywhere, pixels + noise)
         return Observation(ids, seen[ids], is_outlier[ids])
 
+    def sequence(self, name: str) -> Sequence:
+        """The scene as a recording whose images show nothing but their number, see `frame_number`."""
+        shape = self.camera.height, self.camera.width
+
+        def load(index: int) -> Image:
+            image = np.zeros(shape, np.uint8)
+            image[0, :_DIGITS] = index // 256 ** np.arange(_DIGITS) % 256
+            return image
+
+        stamps = self.trajectory.stamps
+        return Sequence(name, "points", self.camera, stamps, load, self.trajectory, self.ground)
+
     def match(self, a: int, b: int) -> Matches:
         """What is seen in both of two frames."""
         first, second = self.observe(a), self.observe(b)
@@ -106,6 +119,11 @@ class PointScene:
         pixels = self.camera.project(points)
         inside = np.all((pixels >= 0) & (pixels <= (self.camera.width - 1, self.camera.height - 1)), axis=1)
         return pixels, inside & (points[:, 2] > _NEAREST) & (points[:, 2] < self.reach)
+
+
+def frame_number(image: Image) -> int:
+    """Which frame of a scene an image is, by the number in its first pixels."""
+    return int(image[0, :_DIGITS] @ 256 ** np.arange(_DIGITS))
 
 
 def simulate(

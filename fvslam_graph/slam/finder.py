@@ -21,6 +21,7 @@ class Search:
         ids: (N,) of the landmarks.
         pixels: (N, 2) where they are expected.
         covariances: (N, 2, 2) of the difference between a match and the expectation, pixels^2.
+        followed: (N, 2) pixels to which odometry has followed them; NaN where it has not.
         points: (N, 3) where they are in this camera, metres.
         map_T_camera: Expected pose of the camera, in the frame of the poses given to `remember`.
     """
@@ -28,6 +29,7 @@ class Search:
     ids: NDArray[np.int64]
     pixels: Array
     covariances: Array
+    followed: Array
     points: Array
     map_T_camera: gtsam.Pose3
 

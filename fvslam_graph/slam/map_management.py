@@ -18,7 +18,7 @@ from fvslam_graph.slam.estimate import Outcome, Searched
 from fvslam_graph.slam.finder import LandmarkFinder
 from fvslam_graph.slam.initialisation import depths_from_map, equal_depths, known_depths, with_new_landmarks
 from fvslam_graph.slam.landmarks import Array, linearity_index
-from fvslam_graph.slam.records import Records
+from fvslam_graph.slam.records import NO_TRACK, Records
 from fvslam_graph.slam.state import State
 
 SPACING = 15.0  # pixels at least between landmarks
@@ -96,6 +96,17 @@ class MapManager:
         self.finder.forget(self.records.ids)
         return state
 
+    def followed(self, state: State, points: KnownPoints | None) -> Array:
+        """(N, 2) pixels to which odometry has followed each of the state's landmarks; NaN where it has not."""
+        pixels = np.full((len(state), 2), np.nan)
+        if points is not None and len(points):
+            tracks = self.records.of(state.ids).tracks
+            order = np.argsort(points.ids)
+            rows = order[np.minimum(np.searchsorted(points.ids, tracks, sorter=order), len(points) - 1)]
+            alive = points.ids[rows] == tracks
+            pixels[alive] = points.pixels[rows[alive]]
+        return pixels
+
     def ages(self, state: State, frame: int) -> NDArray[np.int64]:
         """(N,) frames from the beginning of each of the state's landmarks to frame number `frame`."""
         return frame - self.records.of(state.ids).born
@@ -113,7 +124,8 @@ class MapManager:
         ids = self._next_id + np.arange(len(pixels))
         self._next_id += len(pixels)
         state = with_new_landmarks(state, ids, pixels, prior, self.camera, self.settings.pixel_sigma)
-        self.records = self.records.begun(ids, frame.index)
+        tracks = np.full(len(pixels), NO_TRACK) if points is None else points.ids
+        self.records = self.records.begun(ids, frame.index, tracks)
         self.finder.remember(frame, ids, pixels, map_T_camera)
         return state
 

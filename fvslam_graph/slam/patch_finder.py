@@ -23,6 +23,8 @@ CHOICE = 4  # corners per landmark to choose from
 class PatchFinder:
     """Searches each landmark's reference patch, warped to the predicted view, inside its ellipse.
 
+    A landmark that odometry follows is not searched, but aligned with its patch from where odometry has it.
+
     The patch is never replaced by a later view, so that a landmark does not wander over its life (Davison 2003).
 
     Args:
@@ -50,9 +52,17 @@ class PatchFinder:
         anchor_T_camera = np.linalg.inv(self._map_T_anchor[rows]) @ search_for.map_T_camera.matrix()
         change = view_change(anchor_T_camera, search_for.points, self.camera)
         patches, within = warp(self._tiles[rows], self._centres[rows], change)
-        pixels, correlation = search(
-            frame.image, patches, search_for.pixels, search_for.covariances, GATE, settings.search_radius
-        )
+        pixels, correlation = search_for.followed.copy(), np.ones(len(patches))
+        sought = np.isnan(pixels[:, 0])
+        if sought.any():
+            pixels[sought], correlation[sought] = search(
+                frame.image,
+                patches[sought],
+                search_for.pixels[sought],
+                search_for.covariances[sought],
+                GATE,
+                settings.search_radius,
+            )
         candidates = np.flatnonzero(within & (correlation > COARSE_SHARE * settings.ncc_threshold))
         aligned, correlation = align(frame.image, patches[candidates], pixels[candidates])
         moved = np.abs(aligned - pixels[candidates]).max(axis=1, initial=0.0)

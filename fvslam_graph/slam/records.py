@@ -8,6 +8,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+NO_TRACK = -1
+
 
 @dataclass(frozen=True)
 class Records:
@@ -18,23 +20,25 @@ class Records:
         born: (N,) index of the first frame.
         expected: (N,) in how many frames they were looked for.
         measured: (N,) in how many of these they were measured.
+        tracks: (N,) number of the track by which odometry follows them; NO_TRACK for those that began without one.
     """
 
     ids: NDArray[np.int64]
     born: NDArray[np.int64]
     expected: NDArray[np.int64]
     measured: NDArray[np.int64]
+    tracks: NDArray[np.int64]
 
     @classmethod
     def none(cls) -> Self:
         """Of no landmarks."""
         none = np.empty(0, np.int64)
-        return cls(none, none, none, none)
+        return cls(none, none, none, none, none)
 
     def of(self, ids: NDArray[np.int64]) -> Records:
         """Those of these landmarks, in their order."""
         rows = np.searchsorted(self.ids, ids)
-        return Records(self.ids[rows], self.born[rows], self.expected[rows], self.measured[rows])
+        return Records(self.ids[rows], self.born[rows], self.expected[rows], self.measured[rows], self.tracks[rows])
 
     def counted(self, ids: NDArray[np.int64], expected: NDArray[np.bool_], measured: NDArray[np.bool_]) -> Records:
         """After a frame in which some of the landmarks `ids`, (K,), were expected, (K,), and some measured, (K,)."""
@@ -43,12 +47,13 @@ class Records:
         hits[rows] += measured
         return replace(self, expected=more, measured=hits)
 
-    def begun(self, ids: NDArray[np.int64], frame: int) -> Records:
-        """With new landmarks, whose ids are higher than all that exist."""
+    def begun(self, ids: NDArray[np.int64], frame: int, tracks: NDArray[np.int64]) -> Records:
+        """With new landmarks, (K,), whose ids are higher than all that exist, and their tracks, (K,)."""
         zero = np.zeros(len(ids), np.int64)
         return Records(
             np.concatenate([self.ids, ids]),
             np.concatenate([self.born, zero + frame]),
             np.concatenate([self.expected, zero]),
             np.concatenate([self.measured, zero]),
+            np.concatenate([self.tracks, tracks]),
         )

@@ -100,7 +100,8 @@ class VSlam:
         Args:
             frame: The next frame.
             odometry: Motion prev_T_cur since the last step; without it, the velocity stays what it was, up to noise.
-            points: What can become landmarks, with their depths; without them, corners of unknown depth.
+            points: What odometry follows: landmarks that began among its tracks are found there, and new ones begin
+                with its depths. Without it, all are searched, and corners of unknown depth become landmarks.
         """
         assert self._state is not None, "start comes first"
         self._stopwatch = Stopwatch()
@@ -119,7 +120,8 @@ class VSlam:
 
         # Look for each landmark inside its ellipse.
         with self._stopwatch.stage("search"):
-            pixels, found = self._search(frame, state, seconds, prediction.pixels, ellipses, visible)
+            followed = self._map.followed(state, points)
+            pixels, found = self._search(frame, state, seconds, prediction.pixels, ellipses, followed, visible)
 
         with self._stopwatch.stage("filter"):
             # Low-innovation inliers update the state first, so that high-innovation inliers differ from outliers.
@@ -162,6 +164,7 @@ class VSlam:
         seconds: float,
         expected: Array,
         ellipses: Array,
+        followed: Array,
         visible: NDArray[np.bool_],
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels (N, 2) of all landmarks, and which were found (N,)."""
@@ -170,7 +173,9 @@ class VSlam:
             prev_T_cur, _ = travelled(state.velocity, seconds)
             map_T_camera = self._map_T_camera.compose(prev_T_cur)
             points = (state.positions[visible] - prev_T_cur.translation()) @ prev_T_cur.rotation().matrix()
-            search = Search(state.ids[visible], expected[visible], ellipses[visible], points, map_T_camera)
+            search = Search(
+                state.ids[visible], expected[visible], ellipses[visible], followed[visible], points, map_T_camera
+            )
             pixels[visible], found[visible] = self.finder.find(frame, search)
         return pixels, found
 

@@ -63,6 +63,7 @@ class VisualOdometry:
         config: Settings.
         ground: What is known of the ground plane; the scale source `plane` needs it.
         true_baseline: Distance in metres between two frames by index, for the scale source `oracle`.
+        association: Finds points again; by itself what the settings say.
     """
 
     def __init__(
@@ -71,12 +72,13 @@ class VisualOdometry:
         config: Config,
         ground: Ground | None = None,
         true_baseline: Callable[[int, int], float] | None = None,
+        association: Association | None = None,
     ) -> None:
         self.camera = camera
         self.settings = config.vo
         self._rng = np.random.default_rng(config.seed)
         self._features = config.features
-        self._association: Association = (
+        self._association: Association = association or (
             KltTracker(config.features) if config.features.association == "klt" else NccMatcher(config.features)
         )
         aligner = None

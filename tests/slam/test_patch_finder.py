@@ -46,6 +46,7 @@ def test_found_where_they_are(flight, begun):
         np.arange(len(pixels))[visible],
         expected[visible],
         np.tile(20.0**2 * np.eye(2), (visible.sum(), 1, 1)),
+        np.full((visible.sum(), 2), np.nan),
         there[visible],
         poses[1],
     )
@@ -56,11 +57,29 @@ def test_found_where_they_are(flight, begun):
     assert 0.01 < np.median(off) < 8.0  # the terrain has hills; measured 3 pixels
 
 
+def test_what_odometry_follows_is_aligned_from_there(flight, begun):
+    """However far off it was expected, and to the reference patch: where odometry has drifted, that is taken back."""
+    finder, pixels = begun
+    count, pose = len(pixels), flight.ground_truth.poses[0]
+    followed = pixels + np.array([1.2, -0.8])
+    followed[0] = pixels[0] + (9.0, 9.0)  # this one is not there
+    points = DISTANCE * np.column_stack([flight.camera.normalize(pixels), np.ones(count)])
+    far_off, tiny = pixels + 100, np.tile(np.eye(2), (count, 1, 1))
+    at, found = finder.find(flight.frame(0), Search(np.arange(count), far_off, tiny, followed, points, pose))
+    assert found[1:].all() and not found[0]
+    assert np.abs(at[1:] - pixels[1:]).max() < 0.1
+
+
 def test_forgotten_landmarks_are_gone(flight, begun):
     finder, pixels = begun
     finder.forget(np.array([1, 3]))
     search = Search(
-        np.array([3]), pixels[[3]], np.eye(2)[None], np.array([[0, 0, DISTANCE]]), flight.ground_truth.poses[0]
+        np.array([3]),
+        pixels[[3]],
+        np.eye(2)[None],
+        np.full((1, 2), np.nan),
+        np.array([[0, 0, DISTANCE]]),
+        flight.ground_truth.poses[0],
     )
     at, found = finder.find(flight.frame(0), search)
     assert found.all() and at == pytest.approx(pixels[[3]], abs=0.02)
@@ -72,7 +91,9 @@ def test_nothing_is_found_in_the_dark(flight, begun):
     dark.image[:] = 3
     points = np.tile([0.0, 0.0, DISTANCE], (len(pixels), 1))
     spread = np.tile(25.0 * np.eye(2), (len(pixels), 1, 1))
-    search = Search(np.arange(len(pixels)), pixels, spread, points, flight.ground_truth.poses[0])
+    search = Search(
+        np.arange(len(pixels)), pixels, spread, np.full(pixels.shape, np.nan), points, flight.ground_truth.poses[0]
+    )
     _, found = finder.find(dark, search)
     assert not found.any()
     assert len(finder.candidates(dark, pixels)) == 0

@@ -1,0 +1,72 @@
+"""What the experiments have in common: runs in parallel, and their outcome as CSV, Markdown and PNG."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import matplotlib
+import numpy as np
+import typer
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+
+from fvslam_graph.evaluation.plots import STYLE
+from fvslam_graph.study import Job, execute_all
+
+Rows = list[dict[str, Any]]
+
+SequencePath = Annotated[str, typer.Argument(help="As for `fvslam run`.")]
+Out = Annotated[Path, typer.Option(help="Folder of the outcome.")]
+Preset = Annotated[str, typer.Option(help="paper or tuned.")]
+Frames = Annotated[str | None, typer.Option(help="Part of the sequence, START:STOP.", metavar="A:B")]
+Seeds = Annotated[int, typer.Option(help="How many runs of each kind.", min=1)]
+
+
+def run_all(jobs: Sequence[Job], processes: int | None = None) -> Rows:
+    """The rows of all jobs in their order, with a bar on a terminal."""
+    return list(track(execute_all(jobs, processes), "runs", len(jobs), console=Console(stderr=True), transient=True))
+
+
+def column(rows: Iterable[dict[str, Any]], name: str) -> NDArray[np.float64]:
+    """One number of each row."""
+    return np.array([row[name] for row in rows], float)
+
+
+def spread(rows: Iterable[dict[str, Any]], name: str, style: str = ".3f") -> str:
+    """Median and range over runs."""
+    values = column(rows, name)
+    values = values[~np.isnan(values)]
+    if not len(values):
+        return "-"
+    return f"{np.median(values):{style}} ({values.min():{style}}-{values.max():{style}})"
+
+
+def markdown(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """A Markdown table; all columns but the first are numbers."""
+    rules = ["---", *["---:"] * (len(header) - 1)]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in (header, rules, *lines))
+
+
+def save(
+    out: Path, experiment: str, name: str, rows: Rows, table: str, draw: Callable[[Figure], None], size: tuple[int, int]
+) -> None:
+    """Write `<experiment>-<name>` as .csv, .md and .png, and print the table."""
+    out.mkdir(parents=True, exist_ok=True)
+    stem = out / re.sub(r"[^\w.-]+", "-", f"{experiment}-{name}")
+    with stem.with_name(f"{stem.name}.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    stem.with_name(f"{stem.name}.md").write_text(table)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        figure.savefig(stem.with_name(f"{stem.name}.png"))
+    Console().print(table)
+    Console().print(f"{stem}.csv, .md, .png")

@@ -1,0 +1,63 @@
+"""Interleave distance against accuracy, time and matches: how seldom V-SLAM may run (the paper, section 3)."""
+
+import numpy as np
+import typer
+from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_all, save, spread
+from matplotlib.figure import Figure
+
+from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.study import Job
+
+DISTANCES = range(1, 11)
+SHOWN = {"ape": "APE after Sim(3) (m)", "ms": "time (ms/frame, mean)", "matched": "matches per V-SLAM frame"}
+
+
+def main(
+    path: SequencePath,
+    out: Out,
+    preset: Preset = "tuned",
+    mode: str = "average",
+    frames: Frames = None,
+    seeds: Seeds = 5,
+) -> None:
+    settings = [(f"mode={mode}", f"slam.interleave={distance}") for distance in DISTANCES]
+    rows = run_all([Job(path, frames, preset, chosen, seed) for chosen in settings for seed in range(seeds)])
+    groups = {distance: rows[n * seeds : (n + 1) * seeds] for n, distance in enumerate(DISTANCES)}
+    for distance, group in groups.items():
+        for row in group:
+            row["interleave"] = distance
+    name = rows[0]["sequence"]
+
+    table = markdown(
+        ("interleave distance", "APE (m)", "t_rel (%)", "r_rel (deg/100 m)", "matches", "ms/frame"),
+        (
+            (
+                f"{distance}",
+                spread(group, "ape"),
+                spread(group, "t_rel", ".2f"),
+                spread(group, "r_rel"),
+                f"{np.median(column(group, 'matched')):.1f}",
+                f"{np.median(column(group, 'ms')):.1f}",
+            )
+            for distance, group in groups.items()
+        ),
+    )
+    table += (
+        f"\n{name}, preset {preset}, mode {mode}, scale by {rows[0]['scale_source']}, online, APE after Sim(3); median "
+        f"and range over {seeds} seeds; ms: mean over frames without reading, one run on each core.\n"
+    )
+
+    def draw(figure: Figure) -> None:
+        figure.suptitle(f"{name}, preset {preset}, mode {mode}, {seeds} seeds")
+        for axes, (key, label) in zip(figure.subplots(1, len(SHOWN)), SHOWN.items(), strict=True):
+            for distance, group in groups.items():
+                axes.plot([distance] * seeds, column(group, key), ".", color=RUN_COLOURS[0], alpha=0.5)
+            medians = [np.median(column(group, key)) for group in groups.values()]
+            axes.plot(list(DISTANCES), medians, color=RUN_COLOURS[1])
+            axes.set(xlabel="interleave distance", ylabel=label, ylim=(0, None))
+
+    save(out, "interleave", f"{name}-{preset}", rows, table, draw, (11, 4))
+
+
+if __name__ == "__main__":
+    typer.run(main)

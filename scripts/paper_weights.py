@@ -1,0 +1,49 @@
+"""The paper's claim that fifty-fifty is best: fusion weight of V-SLAM, from 0 to 1, against APE and drift."""
+
+import typer
+from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_all, save, spread
+from matplotlib.figure import Figure
+
+from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.study import Job
+
+WEIGHTS = [round(0.1 * step, 1) for step in range(11)]
+
+
+def main(path: SequencePath, out: Out, preset: Preset = "tuned", frames: Frames = None, seeds: Seeds = 5) -> None:
+    settings = [("mode=average", f"fusion.weight={weight}") for weight in WEIGHTS]
+    rows = run_all([Job(path, frames, preset, chosen, seed) for chosen in settings for seed in range(seeds)])
+    groups = {weight: rows[n * seeds : (n + 1) * seeds] for n, weight in enumerate(WEIGHTS)}
+    for weight, group in groups.items():
+        for row in group:
+            row["weight"] = weight
+    name = rows[0]["sequence"]
+
+    table = markdown(
+        ("weight of V-SLAM", "APE (m)", "t_rel (%)", "r_rel (deg/100 m)"),
+        (
+            (f"{weight}", spread(group, "ape"), spread(group, "t_rel", ".2f"), spread(group, "r_rel"))
+            for weight, group in groups.items()
+        ),
+    )
+    table += (
+        f"\n{name}, preset {preset}, mode average, scale by {rows[0]['scale_source']}, online, APE after Sim(3); "
+        f"median and range over {seeds} seeds.\n"
+    )
+
+    def draw(figure: Figure) -> None:
+        figure.suptitle(f"{name}, preset {preset}: weight of V-SLAM in the mean, {seeds} seeds")
+        for axes, key, label in zip(
+            figure.subplots(1, 2), ("ape", "rpe"), ("APE after Sim(3) (m)", "RPE from frame to frame (m)"), strict=True
+        ):
+            values = [column(group, key) for group in groups.values()]
+            for weight, several in zip(WEIGHTS, values, strict=True):
+                axes.plot([weight] * len(several), several, ".", color=RUN_COLOURS[0], alpha=0.5)
+            axes.plot(WEIGHTS, [float(sorted(several)[len(several) // 2]) for several in values], color=RUN_COLOURS[1])
+            axes.set(xlabel="weight of V-SLAM", ylabel=label, ylim=(0, None))
+
+    save(out, "weights", f"{name}-{preset}", rows, table, draw, (9, 4))
+
+
+if __name__ == "__main__":
+    typer.run(main)
