@@ -11,7 +11,11 @@ from fvslam_graph.sequences.points import PointScene, frame_number
 
 
 class SceneTracker:
-    """Sees points of a scene where the scene says that they are seen; images only tell their number.
+    """Follows the points of a scene as a tracker does; images only tell their number.
+
+    A tracker aligns a point's patch in the reference image with the current one. It errs about the displacement, by the
+    scene's noise, and goes on from where it found the point: a track drifts, and errors of consecutive pairs of images
+    are independent.
 
     Args:
         scene: Landmarks, their pixels and the noise of these.
@@ -25,28 +29,30 @@ class SceneTracker:
         self.count = count
         self.wrong = wrong
         self._rng = np.random.default_rng([seed, 3])
+        self._reference = 0  # frame
         self._ids = np.empty(0, np.int64)
         self._points = np.empty((0, 2))
 
     def track(self, image: Image) -> Tracks:
         """The points of the reference that are in view."""
-        ids, pixels = self._seen(image)
-        _, mine, theirs = np.intersect1d(self._ids, ids, assume_unique=True, return_indices=True)
+        number = frame_number(image)
+        mine = np.flatnonzero(np.isin(self._ids, self.scene.observe(number).ids))
+        moved = self._exact(number, self._ids[mine]) - self._exact(self._reference, self._ids[mine])
+        found = self._points[mine] + moved + self.scene.noise * self._rng.standard_normal(moved.shape)
         is_wrong = self._rng.random(len(mine)) < self.wrong
         camera = self.scene.camera
         anywhere = self._rng.uniform(0, (camera.width - 1, camera.height - 1), (len(mine), 2))
-        found = np.where(is_wrong[:, None], anywhere, pixels[theirs])
-        return Tracks(self._ids[mine], self._points[mine], found)
+        return Tracks(self._ids[mine], self._points[mine], np.where(is_wrong[:, None], anywhere, found))
 
     def rebase(self, image: Image, kept: Tracks) -> Tracks:
         """Make `image` the reference: the kept tracks, and others in view up to the number wanted."""
-        ids, pixels = self._seen(image)
-        new = np.flatnonzero(~np.isin(ids, kept.ids))
+        self._reference = frame_number(image)
+        seen = self.scene.observe(self._reference)
+        new = np.flatnonzero(~np.isin(seen.ids, kept.ids))
         new = self._rng.permutation(new)[: max(self.count - len(kept), 0)]
-        self._ids = np.concatenate([kept.ids, ids[new]])
-        self._points = np.vstack([kept.current, pixels[new]])
+        self._ids = np.concatenate([kept.ids, seen.ids[new]])
+        self._points = np.vstack([kept.current, seen.pixels[new]])
         return Tracks(self._ids, self._points, self._points)
 
-    def _seen(self, image: Image) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        seen = self.scene.observe(frame_number(image))
-        return seen.ids, seen.pixels
+    def _exact(self, frame: int, ids: NDArray[np.int64]) -> NDArray[np.float64]:
+        return self.scene.camera.project(self.scene.in_camera(frame)[ids])

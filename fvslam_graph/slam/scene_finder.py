@@ -30,14 +30,16 @@ class SceneFinder:
         self.wrong = wrong
         self._rng = np.random.default_rng(seed)
         self._ids = np.empty(0, np.int64)  # of the filter's landmarks, ascending,
-        self._of_scene = np.empty(0, np.int64)  # and which of the scene's they are
+        self._of_scene = np.empty(0, np.int64)  # which of the scene's they are,
+        self._beside = np.empty((0, 2))  # and how far beside it they began, where a track had drifted
 
     def find(self, frame: Frame, search: Search) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels (N, 2) and which were found, (N,)."""
         seen = self.scene.observe(frame.index)
-        wanted = self._of_scene[np.searchsorted(self._ids, search.ids)]
+        mine = np.searchsorted(self._ids, search.ids)
+        wanted = self._of_scene[mine]
         rows = np.minimum(np.searchsorted(seen.ids, wanted), len(seen.ids) - 1)
-        off = seen.pixels[rows] - search.pixels
+        off = seen.pixels[rows] + self._beside[mine] - search.pixels
         square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(search.covariances), off)
         found = (seen.ids[rows] == wanted) & (square < GATE)
         wrong = self._rng.random(len(found)) < self.wrong
@@ -50,16 +52,17 @@ class SceneFinder:
         return self.scene.observe(frame.index).pixels
 
     def remember(self, frame: Frame, ids: NDArray[np.int64], pixels: Array, map_T_camera: gtsam.Pose3) -> None:
-        """Which landmarks of the scene are seen at pixels (K, 2)."""
+        """Which landmarks of the scene are seen at or beside pixels (K, 2)."""
         seen = self.scene.observe(frame.index)
         rows = np.linalg.norm(seen.pixels[:, None] - pixels, axis=2).argmin(axis=0)
         self._ids = np.concatenate([self._ids, ids])
         self._of_scene = np.concatenate([self._of_scene, seen.ids[rows]])
+        self._beside = np.vstack([self._beside, pixels - seen.pixels[rows]])
 
     def forget(self, kept: NDArray[np.int64]) -> None:
         """Drop all landmarks but these."""
         stay = np.isin(self._ids, kept)
-        self._ids, self._of_scene = self._ids[stay], self._of_scene[stay]
+        self._ids, self._of_scene, self._beside = self._ids[stay], self._of_scene[stay], self._beside[stay]
 
 
 def known_points(
