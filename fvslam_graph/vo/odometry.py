@@ -31,8 +31,8 @@ from fvslam_graph.vo.two_view import estimate_two_view, rays
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1
 PATIENCE = 3  # textured images in a row that do not fit the reference before it is given up
-DEPTH_IN_HEIGHTS = 3.0  # a guess at how far away things are, for a camera above ground,
-UNKNOWN_DEPTH = 10.0  # and for one whose height is unknown, metres
+GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
+UNKNOWN_DEPTH = 10.0  # and at how far away things are for one whose height is unknown, metres
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,7 @@ class VisualOdometry:
         self._association: Association = association or (
             KltTracker(config.features) if config.features.association == "klt" else NccMatcher(config.features)
         )
+        self._down = None if ground is None else ground.normal
         aligner = None
         if config.scale.source is ScaleSource.PLANE and ground is not None:
             aligner = GroundAligner(camera, ground.normal, ground.normal_sigma, config.scale.ground)
@@ -265,7 +266,10 @@ class VisualOdometry:
         if len(self._map):
             return float(1 / np.median(self._map.depths.values))
         height = math.nan if self._reference is None else self._reference.height
-        return DEPTH_IN_HEIGHTS * height if height > 0 else UNKNOWN_DEPTH
+        if self._down is None or not height > 0 or not len(self._seen):
+            return UNKNOWN_DEPTH
+        falling = rays(self.camera, self._seen.current) @ self._down  # of the rays, towards the ground
+        return height * float(np.median(1 / np.maximum(falling, 1 / GROUND_REACH)))
 
     def _seed(self) -> int:
         return int(self._rng.integers(2**31))
