@@ -84,6 +84,7 @@ class Mode(StrEnum):
     VSLAM = "vslam"  # EKF visual SLAM alone; visual odometry only starts it
     AVERAGE = "average"  # the paper: both, fused by their weighted mean at every interleaved frame
     INTERSECTION = "intersection"  # both, fused by covariance intersection
+    GRAPH = "graph"  # the measurements of both in one factor graph
 
 
 class SlamSettings(_Group):
@@ -116,6 +117,28 @@ class FusionSettings(_Group):
     criterion: Literal["determinant", "trace"] = "determinant"  # what covariance intersection makes smallest
 
 
+class GraphSettings(_Group):
+    """The factor graph."""
+
+    odometry: Literal["between", "essential"] = "between"  # six degrees of freedom, or five and a length
+    landmarks: Literal["projection", "bearing_range", "smart", "none"] = "projection"
+    kernel: Literal["huber", "cauchy", "geman_mcclure", "none"] = "huber"
+    kernel_width: PositiveFloat = 1.345  # standard deviations beyond which a measurement counts for less
+    # No pixel counts twice: tracks that are landmarks are left out of odometry, or odometry counts for less.
+    counting: Literal["disjoint", "deflated", "double"] = "disjoint"
+    deflation: PositiveFloat = 2.0  # of the covariance of odometry, where `deflated`
+    # What the online pose is: the last one and the motion since (P_f), or where the graph now has the camera.
+    online: Literal["motion", "pose"] = "motion"
+    pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark aligned with its reference patch, along each axis
+    min_views: int = Field(3, ge=2)  # of a landmark that enters the graph
+    max_zoom: float = Field(1.6, ge=1)  # nearer or farther than at first by this factor, its patch looks too different
+    min_parallax: PositiveFloat = 3.0  # pixels between the first and the last view of a landmark that enters
+    max_new: PositiveInt = 60  # landmarks that enter at once
+    lag: PositiveFloat | None = None  # seconds for which variables are kept; all, if not given
+    relinearise: PositiveFloat = 0.001  # rad and m; a variable that moves farther is linearised again
+    heights: bool = False  # whether the readings of an altimeter are factors: for level ground
+
+
 class Config(_Group):
     """Everything that a run depends on, apart from the sequence."""
 
@@ -127,6 +150,7 @@ class Config(_Group):
     scale: ScaleSettings = ScaleSettings()
     slam: SlamSettings = SlamSettings()
     fusion: FusionSettings = FusionSettings()
+    graph: GraphSettings = GraphSettings()
 
     @property
     def interleave(self) -> int:
@@ -153,6 +177,10 @@ _PAPER: dict[str, Any] = {
 }
 
 
+# A graph is worth more landmarks than a filter can afford on every frame; they come only at interleaved ones.
+_GRAPH: dict[str, Any] = {"slam": {"min_landmarks": 60}}
+
+
 def load_config(preset: str = "tuned", file: Path | None = None, settings: Sequence[str] = ()) -> Config:
     """A preset, changed by a YAML file and then by single settings.
 
@@ -173,6 +201,8 @@ def load_config(preset: str = "tuned", file: Path | None = None, settings: Seque
     values: dict[str, Any] = {}
     if changes["preset"] == "paper":
         _merge(values, _PAPER)
+    if changes.get("mode") == Mode.GRAPH:
+        _merge(values, _GRAPH)
     _merge(values, changes)
     try:
         return Config.model_validate(values)

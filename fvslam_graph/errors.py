@@ -23,3 +23,7 @@ class ConfigError(FvslamError):
 
 class ResultsError(FvslamError):
     """A run folder that cannot be read or written."""
+
+
+class EstimationError(FvslamError):
+    """An estimate that cannot be made from what was measured."""

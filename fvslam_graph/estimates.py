@@ -38,3 +38,28 @@ class GaussianPose:
         adjoint = self.mean.AdjointMap()
         covariance = adjoint @ self.covariance @ adjoint.T
         return GaussianPose(self.mean.inverse(), (covariance + covariance.T) / 2)
+
+
+@dataclass(frozen=True)
+class LogLength:
+    """The natural logarithm of a length as a normal distribution: its mean, log(metres), and variance."""
+
+    mean: float
+    variance: float
+
+
+@dataclass(frozen=True)
+class Views:
+    """What one image shows of N landmarks.
+
+    Attributes:
+        ids: (N,) the same for the same landmark at all times.
+        pixels: (N, 2) where they are.
+        points: (N, 3) where they are in the camera as visual SLAM has it, metres; NaN where it has dropped them.
+        covariances: (N, 3, 3) of the points.
+    """
+
+    ids: NDArray[np.int64]
+    pixels: NDArray[np.float64]
+    points: NDArray[np.float64]
+    covariances: NDArray[np.float64]

@@ -11,10 +11,11 @@ import numpy as np
 
 from fvslam_graph.config import Config, Mode, ScaleSource
 from fvslam_graph.errors import ConfigError
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.estimates import GaussianPose, LogLength
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.tracks import Association
 from fvslam_graph.fusion.average import Average
+from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.interleave import Interleave
 from fvslam_graph.fusion.intersection import Intersection
 from fvslam_graph.fusion.odometry_chain import OdometryChain
@@ -45,7 +46,8 @@ class Eyes:
 
 def stages(config: Config) -> tuple[str, ...]:
     """What a frame's time is made up of."""
-    return ("read", *VO_STAGES, *(() if config.mode is Mode.VO else SLAM_STAGES))
+    slam = () if config.mode is Mode.VO else SLAM_STAGES
+    return ("read", *VO_STAGES, *slam, *(("graph",) if config.mode is Mode.GRAPH else ()))
 
 
 def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> Iterator[FrameResult]:
@@ -66,6 +68,8 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
     chain = OdometryChain()  # the motion since P_f
     reference = GaussianPose.identity()  # P_f
     rule = _rule(config)
+    graph = Graph(sequence.camera, config.graph) if config.mode is Mode.GRAPH else None
+    disjoint = graph is not None and config.graph.counting == "disjoint"
     interleave = Interleave(config.interleave, config.slam.shorten)
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
@@ -75,25 +79,35 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
         odometry: VoEstimate | None = None
         slam: SlamEstimate | None = None
         if config.needs_odometry or not vslam.started:
-            odometry = vo.step(frame)
+            odometry = vo.step(frame, vslam.tracks if disjoint else None)
             previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
             chain.add(index, previous, motion)
+            if graph is not None:
+                _add_odometry(graph, frame, odometry, sequence)
         if config.mode is not Mode.VO and not vslam.started and odometry is not None:
             slam = _start(vslam, frame, odometry, reference.compose(chain.motion), sequence, config)
             if slam is not None:
                 reference = slam.pose
+                if graph is not None:
+                    graph.fuse(slam.views)
                 chain.anchor()
         elif config.mode is not Mode.VO and index - vslam.index >= interleave.distance:
             prior = chain.motion if config.odometry_is_prior else None
             slam = vslam.step(frame, prior, _followed(odometry, config))
             previous, motion, status = slam.previous, slam.prev_T_cur, slam.status
             interleave.turned_out(well=status is Status.TRACKED)
-            if rule is None:
+            if rule is None and graph is None:
                 reference = slam.pose
             else:
                 # Both have moved on from P_f; where visual SLAM is lost, odometry carries on alone.
-                motion = rule(chain.motion, motion) if status is Status.TRACKED else chain.motion
+                if graph is not None:
+                    with stopwatch.stage("graph"):
+                        motion = graph.fuse(slam.views if status is Status.TRACKED else None)
+                elif rule is not None:
+                    motion = rule(chain.motion, motion) if status is Status.TRACKED else chain.motion
                 reference = reference.compose(motion)
+                if graph is not None and config.graph.online == "pose":
+                    reference = graph.pose
                 vslam.rebase(reference)
             chain.anchor()
 
@@ -109,6 +123,7 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
             measures=_measures(config, odometry, slam),
             times=times,
             slam=slam,
+            graph=graph,
         )
 
 
@@ -117,6 +132,15 @@ def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None
     if odometry is None or config.slam.association == "search" or odometry.status is not Status.TRACKED:
         return None
     return odometry.points
+
+
+def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Sequence) -> None:
+    """A frame with what odometry says of it, for the factor graph."""
+    measured = odometry.measured
+    length = None if measured is None else LogLength(measured.mean, measured.variance)
+    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, length)
+    if graph.settings.heights and sequence.ground is not None and frame.height > 0:
+        graph.add_height(frame.height, frame.height_sigma, sequence.ground.normal)
 
 
 def _rule(config: Config) -> FusionRule | None:

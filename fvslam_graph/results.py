@@ -24,6 +24,7 @@ from pydantic import BaseModel
 from fvslam_graph.errors import ResultsError
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.files import replacing, write_json, writing
+from fvslam_graph.fusion.graph import FACTORS, G2O, LANDMARKS_PLY, VALUES, Graph
 from fvslam_graph.landmark_table import COLUMNS, landmark_rows
 from fvslam_graph.provenance import peak_memory_mb, provenance
 from fvslam_graph.slam.estimate import SlamEstimate
@@ -34,10 +35,12 @@ SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti
 GROUND_TRUTH, FRAMES, COVARIANCES = "ground_truth.tum", "frames.csv", "covariances.npz"
 CONFIG, INFO, METRICS, REFERENCE = "config.yaml", "run.json", "metrics.json", "reference.tum"
 LANDMARKS = "landmarks.csv"
+GRAPH = (G2O, LANDMARKS_PLY, FACTORS, VALUES)
 
 # Everything that a run, its evaluation and its plots leave in the folder; a new run into the same folder removes it.
 _OURS = (
     *(ONLINE, ONLINE_KITTI, SMOOTHED, SMOOTHED_KITTI, GROUND_TRUTH, FRAMES, COVARIANCES, CONFIG, INFO),
+    *GRAPH,
     *(LANDMARKS, METRICS, REFERENCE, "[ar]pe_*.zip", "plot_*.png", "plot_*.pdf"),
 )
 
@@ -58,6 +61,7 @@ class FrameResult:
         measures: Columns of frames.csv, such as tracks, inliers, scale (m per unit baseline), scale_sigma.
         times: Milliseconds by stage. Measures and stages have the same names in every frame of a run.
         slam: What visual SLAM says, where it ran on this frame.
+        graph: The factor graph, where the mode has one: the same object in every result, which goes on to grow.
     """
 
     index: int
@@ -69,6 +73,7 @@ class FrameResult:
     measures: Mapping[str, float]
     times: Mapping[str, float]
     slam: SlamEstimate | None = None
+    graph: Graph | None = None
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ class RunWriter:
 
     A line per frame goes to `trajectory_online.tum` and `frames.csv`, one per landmark to `landmarks.csv`. `run.json`
     says "running" until the end, then "finished", "interrupted" or "failed: ...". The end also brings
-    `trajectory_online.kitti` and `covariances.npz`.
+    `trajectory_online.kitti` and `covariances.npz`, and in mode `graph` the smoothed trajectory and the graph.
 
     Args:
         folder: Created; may hold a previous run, which is replaced.
@@ -157,6 +162,7 @@ class RunWriter:
             self._trajectory = (folder / ONLINE).open("w")
             self._frames = (folder / FRAMES).open("w", newline="")
         self._landmarks: TextIO | None = None
+        self._graph: Graph | None = None
 
     def __enter__(self) -> RunWriter:
         return self
@@ -176,7 +182,8 @@ class RunWriter:
             self._frames.flush()
             if result.slam is not None:
                 self._write_landmarks(result.slam)
-        self._results.append(replace(result, slam=None))  # on disk, and large
+        self._graph = result.graph
+        self._results.append(replace(result, slam=None, graph=None))  # on disk, and large
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -202,7 +209,17 @@ class RunWriter:
                     covariances=np.array([r.relative.covariance for r in self._results]).reshape(-1, 6, 6),
                     pose_covariances=np.array([r.pose.covariance for r in self._results]).reshape(-1, 6, 6),
                 )
+            if self._graph is not None:
+                self._write_graph(self._graph)
             self._write_info(status)
+
+    def _write_graph(self, graph: Graph) -> None:
+        smoothed = graph.smoothed()
+        with replacing(self.folder / SMOOTHED) as path:
+            smoothed.write_tum(path)
+        with replacing(self.folder / SMOOTHED_KITTI) as path:
+            path.write_text("".join(kitti_line(pose) for pose in smoothed.poses))
+        graph.write(self.folder)
 
     def _write_landmarks(self, slam: SlamEstimate) -> None:
         if self._landmarks is None:

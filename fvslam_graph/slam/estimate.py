@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.estimates import GaussianPose, Views
 from fvslam_graph.slam.landmarks import Array
 from fvslam_graph.trajectory import Status
 
@@ -105,3 +105,14 @@ class SlamEstimate:
     landmarks: Landmarks
     scale_sigma: float
     times: dict[str, float]
+
+    @property
+    def views(self) -> Views:
+        """Landmarks that were measured in this frame, and those that begin in it."""
+        measured, new = self.searched.measured, self.landmarks.ages == 0
+        ids = np.concatenate([self.searched.ids[measured], self.landmarks.ids[new]])
+        pixels = np.vstack([self.searched.pixels[measured], self.landmarks.pixels[new]])
+        points, covariances = np.full((len(ids), 3), np.nan), np.full((len(ids), 3, 3), np.nan)
+        _, mine, theirs = np.intersect1d(ids, self.landmarks.ids, assume_unique=True, return_indices=True)
+        points[mine], covariances[mine] = self.landmarks.points[theirs], self.landmarks.covariances[theirs]
+        return Views(ids, pixels, points, covariances)

@@ -29,6 +29,7 @@ from fvslam_graph.slam.motion import (
     travelled,
 )
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
+from fvslam_graph.slam.records import NO_TRACK
 from fvslam_graph.slam.state import POSE, SCALE, State
 from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.trajectory import Status
@@ -72,6 +73,13 @@ class VSlam:
     def started(self) -> bool:
         """Whether `start` was called."""
         return self._state is not None
+
+    @property
+    def tracks(self) -> NDArray[np.int64]:
+        """Tracks of odometry that are landmarks of the map."""
+        tracks = self._map.records.tracks
+        followed: NDArray[np.int64] = tracks[tracks != NO_TRACK]
+        return followed
 
     def start(
         self, frame: Frame, pose: GaussianPose, prev_T_cur: GaussianPose, seconds: float, points: KnownPoints

@@ -29,6 +29,7 @@ class VoEstimate:
         found: How many points of the reference were found in this frame.
         tracks: Those that agree with the motion.
         scale: Of the baseline between the two; None where none was estimated.
+        measured: What the scale source says about this baseline alone; None where it does not speak.
         map: What is known of the depths of these tracks in this frame.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         times: Milliseconds by stage.
@@ -41,6 +42,7 @@ class VoEstimate:
     found: int = 0
     tracks: Tracks = field(default_factory=Tracks.none)
     scale: LogScale | None = None
+    measured: LogScale | None = None
     map: MetricMap = field(default_factory=MetricMap.empty)
     parallax: float = math.nan
     times: dict[str, float] = field(default_factory=dict)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import Config, ScaleSource
@@ -30,6 +31,7 @@ from fvslam_graph.vo.two_view import estimate_two_view, rays
 
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1
+ENOUGH = 2  # times the inliers needed: fewer tracks, and none is left apart
 PATIENCE = 3  # textured images in a row that do not fit the reference before it is given up
 GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
 UNKNOWN_DEPTH = 10.0  # and at how far away things are for one whose height is unknown, metres
@@ -43,13 +45,15 @@ class _Motion:
         ref_T_cur: Pose and its covariance.
         tracks: Those that agree with it.
         map: Of the reference, with what was learnt.
-        scale: Of the baseline, where it was estimated.
+        scale: Of the baseline, where it was estimated,
+        measured: and what the scale source itself says about it.
     """
 
     ref_T_cur: GaussianPose
     tracks: Tracks
     map: MetricMap
     scale: LogScale | None = None
+    measured: LogScale | None = None
 
 
 class VisualOdometry:
@@ -97,9 +101,16 @@ class VisualOdometry:
         self._first = 0  # index of the first frame
         self._seen = Tracks.none()  # where the points were when the camera last moved
         self._failures = 0  # usable images in a row that did not fit the reference
+        self._apart = np.empty(0, np.int64)  # tracks not to be used for the motion
 
-    def step(self, frame: Frame) -> VoEstimate:
-        """Estimate the motion of the next frame; frames come in the order of their stamps."""
+    def step(self, frame: Frame, apart: NDArray[np.int64] | None = None) -> VoEstimate:
+        """Estimate the motion of the next frame; frames come in the order of their stamps.
+
+        Args:
+            frame: The next frame.
+            apart: Tracks that are followed, but not used for the motion, as long as there are enough others.
+        """
+        self._apart = np.empty(0, np.int64) if apart is None else apart
         self._stopwatch = Stopwatch()
         if math.isnan(self._last_stamp):
             self._last_stamp, self._first = frame.stamp, frame.index
@@ -145,6 +156,11 @@ class VisualOdometry:
             return motion
         return None if far else self._turn(tracks, rotation, parallax)
 
+    def _used(self, tracks: Tracks) -> NDArray[np.bool_]:
+        """(N,) which tracks tell the motion."""
+        used = ~np.isin(tracks.ids, self._apart)
+        return used if used.sum() >= ENOUGH * self.settings.min_inliers else np.ones(len(tracks), bool)
+
     def _stands_still(self, tracks: Tracks) -> gtsam.Rot3 | None:
         """The small rotation that explains all image motion since the camera last moved; None where it moved."""
         _, before, now = np.intersect1d(self._seen.ids, tracks.ids, assume_unique=True, return_indices=True)
@@ -171,24 +187,29 @@ class VisualOdometry:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
         assert self._reference is not None
         with self._stopwatch.stage("pose"):
-            expected = self._predict(frame).mean
-            two_view = estimate_two_view(tracks, self.camera, self.settings, self._seed(), expected)
+            expected, used = self._predict(frame).mean, self._used(tracks)
+            two_view = estimate_two_view(tracks[used], self.camera, self.settings, self._seed(), expected)
         if two_view is None:
             return None
+        inliers = ~used
+        inliers[used] = two_view.inliers
+        two_view = replace(two_view, inliers=inliers)
         with self._stopwatch.stage("scale"):
             tracks = tracks[two_view.inliers]
             previous, current = rays(self.camera, tracks.reference), rays(self.camera, tracks.current)
             unit = triangulate(tracks.ids, previous, current, two_view.rotation, two_view.direction, self.camera.fx)
             guesses = [self._guess(unit), self._motion_model.distance(frame.stamp - self._reference.stamp)]
             fallback = min(filter(None, guesses), key=lambda guess: guess.variance)
-            scale, known = self._scale.estimate(
+            scale, known, measured = self._scale.estimate(
                 self._reference, frame, two_view, previous, unit, self._map, fallback, self._rng
             )
-        return _Motion(metric_pose(two_view, scale), tracks, known, scale)
+        return _Motion(metric_pose(two_view, scale), tracks, known, scale, measured)
 
     def _move_in_map(self, tracks: Tracks) -> _Motion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
         mine, theirs = self._map.depths.common(tracks.ids)
+        used = self._used(tracks)[theirs]
+        mine, theirs = mine[used], theirs[used]
         depths = self._map.depths[mine]
         points = rays(self.camera, tracks.reference[theirs]) / depths.values[:, None]
         with self._stopwatch.stage("pose"):
@@ -222,7 +243,7 @@ class VisualOdometry:
         seen = rays(self.camera, motion.tracks.reference[theirs])
         depths = motion.map.depths[mine].moved(seen, motion.ref_T_cur.mean)
         here = MetricMap(depths, motion.map.variance)
-        return replace(estimate, tracks=motion.tracks, scale=motion.scale, map=here)
+        return replace(estimate, tracks=motion.tracks, scale=motion.scale, measured=motion.measured, map=here)
 
     def _lose(self, frame: Frame) -> VoEstimate:
         """The image does not fit the reference: a bad image is passed over, a changed scene becomes the reference."""

@@ -99,7 +99,7 @@ class MetricScale:
         known: MetricMap,
         fallback: LogScale,
         rng: np.random.Generator,
-    ) -> tuple[LogScale, MetricMap]:
+    ) -> tuple[LogScale, MetricMap, LogScale | None]:
         """Scale of the baseline between two frames, and the map with this scale.
 
         The map predicts the scale, the source measures it, and both are fused as in a one-dimensional Kalman filter:
@@ -115,22 +115,25 @@ class MetricScale:
             rng: For the ground plane's hypotheses.
 
         Returns:
-            The scale; the map in the previous frame, rescaled and with the new depths.
+            The scale; the map in the previous frame, rescaled and with the new depths; and what the source itself says
+            about this baseline, None where it does not speak.
         """
         ratio = self._ratio(unit, known.depths)
         predicted = fallback if ratio is None else LogScale(ratio.mean, ratio.variance + known.variance)
+        measured: LogScale | None = None
         if self.settings.source is ScaleSource.UNIT:
             scale = LogScale(0.0, 1.0)
         elif self.settings.source is ScaleSource.ORACLE:
             assert self._true_baseline is not None
             baseline = self._true_baseline(previous.index, current.index)
-            scale = LogScale(math.log(baseline), ORACLE_VARIANCE) if baseline > 0 else predicted
+            measured = LogScale(math.log(baseline), ORACLE_VARIANCE) if baseline > 0 else None
+            scale = measured or predicted
         else:
             measured = self._from_plane(previous, current, two_view, rays, unit, predicted, rng)
             scale = predicted if measured is None else predicted.fused(measured)
         old = known.depths if ratio is None else known.depths.scaled(scale.metres / predicted.metres)
         new = unit.scaled(scale.metres)
-        return scale, MetricMap(old.fused(new[new.values > 0]), scale.variance)
+        return scale, MetricMap(old.fused(new[new.values > 0]), scale.variance), measured
 
     def _ratio(self, unit: InverseDepths, known: InverseDepths) -> LogScale | None:
         """Scale at which newly triangulated depths agree with known ones; None with too few points in common."""

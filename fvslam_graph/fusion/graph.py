@@ -1,0 +1,213 @@
+"""The principled fusion: motions of odometry and landmarks of visual SLAM in one factor graph."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.config import GraphSettings
+from fvslam_graph.estimates import GaussianPose, LogLength, Views
+from fvslam_graph.fusion.factors import (
+    LandmarkFactors,
+    height_factor,
+    is_pose,
+    landmark_key,
+    odometry_factors,
+    pose_factor,
+    pose_key,
+)
+from fvslam_graph.fusion.newcomers import Newcomers, View
+from fvslam_graph.fusion.solver import Solver
+from fvslam_graph.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
+RECENT = 60  # frames before the last fusion whose poses the next one can still use
+
+
+class Graph:
+    """A pose for every frame, a point for every landmark; the first pose is known.
+
+    Frames come by `add_odometry`. At an interleaved frame, `fuse` takes in the landmarks and solves.
+
+    Args:
+        camera: Undistorted.
+        settings: Which factors, how robust, how long they are kept.
+    """
+
+    def __init__(self, camera: Camera, settings: GraphSettings) -> None:
+        self.settings = settings
+        self.solver = Solver(settings)
+        self._camera = camera
+        self._landmark_factors = LandmarkFactors(camera, settings)
+        self._newcomers = Newcomers(camera, settings)
+        self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
+        self._stamps: list[float] = []  # of all frames
+        self._poses: list[gtsam.Pose3] = []  # world_T_camera of all frames, as known last
+        self._fused = 0  # the frame of the last reference P_f
+        self._start_height = math.nan
+        self._begin_batch()
+
+    def add_odometry(
+        self, stamp: float, previous: int, prev_T_cur: GaussianPose, length: LogLength | None = None
+    ) -> None:
+        """The next frame, with its motion since an earlier one.
+
+        Args:
+            stamp: Seconds.
+            previous: The frame that the motion starts from.
+            prev_T_cur: The motion.
+            length: What the scale source says about its length; None where it does not speak.
+        """
+        index = len(self._poses)
+        self._stamps.append(stamp)
+        if index == 0:
+            self._poses.append(gtsam.Pose3())
+            self.add(pose_factor(0, GaussianPose.identity()))
+        else:
+            self._poses.append(self._poses[previous].compose(prev_T_cur.mean))
+            for factor in odometry_factors(previous, index, prev_T_cur, length, self.settings):
+                self.add(factor)
+        self._values.insert(pose_key(index), self._poses[-1])
+        self._seen[pose_key(index)] = stamp
+
+    def add_height(self, height: float, sigma: float, down: Array) -> None:
+        """A reading of the height above level ground (m), at the newest frame; `down` (3,) in the first camera."""
+        if math.isnan(self._start_height):
+            self._start_height = height
+        self.add(height_factor(len(self._poses) - 1, height - self._start_height, math.sqrt(2) * sigma, down))
+
+    def add(self, factor: gtsam.NonlinearFactor) -> None:
+        """Anything else that is known of poses, see `factors`; it takes effect when the graph is solved next."""
+        self._factors.add(factor)
+
+    def fuse(self, views: Views | None) -> GaussianPose:
+        """Take in what the newest frame shows of landmarks, and solve.
+
+        Returns:
+            The motion since the last call (since the first frame, at the first one), with its marginal covariance.
+        """
+        index = len(self._poses) - 1
+        if views is not None and self.settings.landmarks != "none":
+            self._see(index, views)
+        self._solve()
+        first, self._fused = self._fused, index
+        return _motion(self.solver, pose_key(first), pose_key(index), self._poses[first], self._poses[index])
+
+    @property
+    def pose(self) -> GaussianPose:
+        """Where the graph has the camera at the last fused frame."""
+        return GaussianPose(self._poses[self._fused], self.solver.covariance(pose_key(self._fused)))
+
+    def smoothed(self) -> Trajectory:
+        """All poses, by all measurements; those that a fixed lag has left behind, as they were when they left."""
+        if self._factors.size():
+            self._solve()
+        estimate = self.solver.values()
+        for key in estimate.keys():  # noqa: SIM118
+            if is_pose(key):
+                self._poses[gtsam.Symbol(key).index()] = estimate.atPose3(key)
+        return Trajectory(np.array(self._stamps), tuple(self._poses))
+
+    def landmarks(self) -> Array:
+        """(N, 3) all landmarks that are kept, in the world, metres."""
+        estimate = self.solver.values()
+        points = [estimate.atPoint3(key) for key in estimate.keys() if not is_pose(key)]  # noqa: SIM118
+        return np.array(points).reshape(-1, 3)
+
+    def write(self, folder: Path) -> None:
+        """Write the graph: poses and motions as g2o, which knows no pixels; landmarks as PLY; all of it as GTSAM does.
+
+        `graph.gtsam` and `values.gtsam` are GTSAM's own serialisation; read back, their error is the same.
+        """
+        factors, estimate = self.solver.factors(), self.solver.values()
+        poses, motions = gtsam.Values(), gtsam.NonlinearFactorGraph()
+        for key in estimate.keys():  # noqa: SIM118
+            if is_pose(key):
+                poses.insert(gtsam.Symbol(key).index(), estimate.atPose3(key))
+        for slot in range(factors.size()):
+            factor = factors.at(slot)
+            if isinstance(factor, gtsam.BetweenFactorPose3):
+                motions.add(_plain(factor))
+        gtsam.writeG2o(motions, poses, str(folder / G2O))
+        (folder / FACTORS).write_text(factors.serialize())
+        (folder / VALUES).write_text(estimate.serialize())
+        (folder / LANDMARKS_PLY).write_text(_ply(self.landmarks()))
+
+    def _see(self, index: int, views: Views) -> None:
+        """Landmarks of the graph are seen again; others enter once they are known well enough."""
+        known = np.array([landmark in self._distances for landmark in views.ids.tolist()], bool)
+        for n in np.flatnonzero(known):
+            landmark = int(views.ids[n])
+            if self._near(landmark, views.points[n]) and self.solver.has(landmark_key(landmark)):
+                self._observe(landmark, View(index, views.pixels[n], views.points[n], views.covariances[n]))
+        for candidate in self._newcomers.ready(index, views, known, self._poses, self._has):
+            away = candidate.position - self._poses[candidate.views[0].frame].translation()
+            self._distances[candidate.landmark] = float(np.linalg.norm(away))
+            if self.settings.landmarks == "smart":
+                self.add(self._landmark_factors.smart([(view.frame, view.pixel) for view in candidate.views]))
+                continue
+            self._values.insert(landmark_key(candidate.landmark), candidate.position)
+            for view in candidate.views:
+                self._observe(candidate.landmark, view)
+
+    def _near(self, landmark: int, point: Array) -> bool:
+        """Whether a landmark looks as it did at first: it is about as far away."""
+        ratio = float(np.linalg.norm(point)) / self._distances[landmark]
+        return 1 / self.settings.max_zoom < ratio < self.settings.max_zoom
+
+    def _observe(self, landmark: int, view: View) -> None:
+        if self.settings.landmarks == "projection":
+            self.add(self._landmark_factors.projection(view.frame, landmark, view.pixel))
+        elif not np.isnan(view.point).any():
+            self.add(self._landmark_factors.bearing_range(view.frame, landmark, view.point, view.covariance))
+        self._seen[landmark_key(landmark)] = self._stamps[-1]
+
+    def _has(self, key: int) -> bool:
+        """Whether a variable is in the graph, or about to enter it."""
+        return self._values.exists(key) or self.solver.has(key)
+
+    def _solve(self) -> None:
+        self.solver.update(self._factors, self._values, self._seen)
+        for index in range(max(self._fused - RECENT, 0), len(self._poses)):
+            if self.solver.has(pose_key(index)):
+                self._poses[index] = self.solver.pose(pose_key(index))
+        if self.settings.lag is not None:
+            within = (item for item in self._distances.items() if self.solver.has(landmark_key(item[0])))
+            self._distances = dict(within)
+        self._begin_batch()
+
+    def _begin_batch(self) -> None:
+        """What the next update of the solver takes in."""
+        self._factors, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        self._seen: dict[int, float] = {}
+
+
+def _motion(solver: Solver, first: int, second: int, a: gtsam.Pose3, b: gtsam.Pose3) -> GaussianPose:
+    """a_T_b with its marginal covariance, from the keys and estimates of two poses."""
+    motion = a.between(b)
+    by_poses = np.hstack([-motion.inverse().AdjointMap(), np.eye(6)])
+    covariance = by_poses @ solver.joint_covariance(first, second) @ by_poses.T
+    return GaussianPose(motion, (covariance + covariance.T) / 2)
+
+
+def _plain(factor: gtsam.BetweenFactorPose3) -> gtsam.BetweenFactorPose3:
+    """The same without its robust kernel, between poses numbered by their frames: what g2o can hold."""
+    first, second = (gtsam.Symbol(key).index() for key in factor.keys())  # noqa: SIM118
+    noise = factor.noiseModel()
+    if isinstance(noise, gtsam.noiseModel.Robust):
+        noise = noise.noise()
+    return gtsam.BetweenFactorPose3(first, second, factor.measured(), noise)
+
+
+def _ply(points: Array) -> str:
+    """Points (N, 3) as a PLY file."""
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    header = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
+    return header + "".join(f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points)

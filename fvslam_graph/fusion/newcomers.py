@@ -1,0 +1,115 @@
+"""Landmarks that wait until they are known well enough for the graph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.config import GraphSettings
+from fvslam_graph.estimates import Views
+from fvslam_graph.fusion.factors import pose_key
+
+Array = NDArray[np.float64]
+
+NEAREST = 0.05  # metres in front of the camera
+PATIENCE = 30  # frames after which a landmark that was not seen again is given up
+GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
+POSE_SLACK = 0.5  # pixels by which poses that are not yet fused may displace a landmark
+RANK_TOLERANCE = 1e-9  # of the triangulation
+
+
+@dataclass(frozen=True)
+class View:
+    """A landmark in one frame: its pixel (2,), and its point (3,) in the camera with covariance (3, 3), metres."""
+
+    frame: int
+    pixel: Array
+    point: Array
+    covariance: Array
+
+
+@dataclass
+class Candidate:
+    """A landmark with its views so far, and where these meet in the world, (3,)."""
+
+    landmark: int
+    views: list[View] = field(default_factory=list)
+    position: Array = field(default_factory=lambda: np.full(3, np.nan))
+    parallax: float = 0.0  # pixels, between the first and the last view
+
+
+class Newcomers:
+    """Collects views of landmarks, and says which are ready.
+
+    A landmark is ready when it has enough views, from places far enough apart, that meet in a point in front of all of
+    them. Those that the views tell most about come first.
+
+    Args:
+        camera: Undistorted.
+        settings: How many views and how much parallax are needed.
+    """
+
+    def __init__(self, camera: Camera, settings: GraphSettings) -> None:
+        self._camera = camera
+        self._settings = settings
+        self._calibration = gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
+        self._waiting: dict[int, Candidate] = {}
+
+    def ready(
+        self,
+        frame: int,
+        views: Views,
+        known: NDArray[np.bool_],
+        poses: list[gtsam.Pose3],
+        has: Callable[[int], bool],
+    ) -> list[Candidate]:
+        """Take in the views of one frame, and hand out landmarks that can enter the graph.
+
+        Args:
+            frame: Index.
+            views: Of N landmarks.
+            known: (N,) which of them are in the graph already.
+            poses: world_T_camera of all frames up to this one.
+            has: Whether the graph has a variable.
+        """
+        ready = []
+        for n in np.flatnonzero(~known):
+            landmark = int(views.ids[n])
+            candidate = self._waiting.setdefault(landmark, Candidate(landmark))
+            candidate.views.append(View(frame, views.pixels[n], views.points[n], views.covariances[n]))
+            if len(candidate.views) >= self._settings.min_views and self._meets(candidate, poses):
+                ready.append(candidate)
+        ready.sort(key=lambda candidate: (len(candidate.views), candidate.parallax), reverse=True)
+        ready = ready[: self._settings.max_new]
+        for candidate in ready:
+            del self._waiting[candidate.landmark]
+            candidate.views = [view for view in candidate.views if view.frame == frame or has(pose_key(view.frame))]
+        self._waiting = {
+            landmark: candidate
+            for landmark, candidate in self._waiting.items()
+            if candidate.views[-1].frame > frame - PATIENCE
+        }
+        return [candidate for candidate in ready if len(candidate.views) >= self._settings.min_views]
+
+    def _meets(self, candidate: Candidate, poses: list[gtsam.Pose3]) -> bool:
+        """Triangulate; whether the views agree."""
+        seen_from = [poses[view.frame] for view in candidate.views]
+        pixels = np.array([view.pixel for view in candidate.views])
+        try:
+            point = gtsam.triangulatePoint3(seen_from, self._calibration, list(pixels), RANK_TOLERANCE, True)
+        except RuntimeError:  # behind a camera, or at infinity
+            return False
+        first, last = (point - pose.translation() for pose in (seen_from[0], seen_from[-1]))
+        angle = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
+        candidate.position, candidate.parallax = point, float(angle * self._camera.fx)
+        if candidate.parallax < self._settings.min_parallax:
+            return False
+        there = np.array([pose.transformTo(point) for pose in seen_from])
+        error = self._camera.project(there) - pixels
+        variance = self._settings.pixel_sigma**2 + POSE_SLACK**2
+        return bool((there[:, 2] > NEAREST).all() and ((error**2).sum(axis=1) < GATE * variance).all())

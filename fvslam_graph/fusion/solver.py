@@ -1,0 +1,158 @@
+"""iSAM2, over all time or a fixed lag, and what is done where its system is not determined."""
+
+from __future__ import annotations
+
+import logging
+import re
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.config import GraphSettings
+from fvslam_graph.errors import EstimationError
+from fvslam_graph.fusion.factors import is_pose
+
+_log = logging.getLogger(__name__)
+
+WEAK = 10.0  # rad and m: a prior that determines a variable and pulls at nothing
+HELD = 1e-3  # rad and m: the oldest pose within a lag, where what was before is lost
+ATTEMPTS = 20  # repairs of one update
+_NAMED = re.compile(r"variable\s+(\d+)")
+
+
+class Solver:
+    """Takes in factors and variables, and has the maximum a posteriori of them all.
+
+    Source: Kaess et al., "iSAM2", IJRR 31(2), 2012.
+
+    Args:
+        settings: When variables are linearised again, and for how many seconds they are kept.
+    """
+
+    def __init__(self, settings: GraphSettings) -> None:
+        self._settings = settings
+        self.repaired: list[str] = []  # variables that were not determined, in the order of their repair
+        self._factors: list[tuple[float, gtsam.NonlinearFactorGraph]] = []  # by update, with its time; within the lag
+        self._stamps: dict[int, float] = {}  # when each variable was seen last
+        self._solver = self._empty()
+
+    def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
+        """Take in new factors, first values of new variables, and the time (s) of all variables seen now.
+
+        A variable that the factors do not determine is named, gets a weak prior, and all is solved anew.
+
+        Raises:
+            EstimationError: It cannot be repaired.
+        """
+        now = max(stamps.values())
+        self._factors.append((now, factors))
+        self._stamps |= stamps
+        if self._settings.lag is not None:
+            begin = now - self._settings.lag
+            self._factors = [(stamp, batch) for stamp, batch in self._factors if stamp >= begin]
+            self._stamps = {key: stamp for key, stamp in self._stamps.items() if stamp >= begin}
+        try:
+            self._advance(factors, values, stamps)
+        except RuntimeError as error:
+            self._repair(error)
+
+    def values(self) -> gtsam.Values:
+        """The estimate of all variables."""
+        return self._solver.calculateEstimate()
+
+    def factors(self) -> gtsam.NonlinearFactorGraph:
+        """All factors that are kept."""
+        whole = gtsam.NonlinearFactorGraph()
+        for _, batch in self._factors:
+            whole.push_back(batch)
+        return whole
+
+    def pose(self, key: int) -> gtsam.Pose3:
+        """The estimate of a pose."""
+        return self._solver.calculateEstimatePose3(key)
+
+    def point(self, key: int) -> NDArray[np.float64]:
+        """The estimate of a point (3,)."""
+        point: NDArray[np.float64] = self._solver.calculateEstimatePoint3(key)
+        return point
+
+    def has(self, key: int) -> bool:
+        """Whether the variable is in the graph, and not beyond the lag."""
+        return bool(self._isam.valueExists(key))
+
+    def covariance(self, key: int) -> NDArray[np.float64]:
+        """Marginal covariance of a variable."""
+        covariance: NDArray[np.float64] = self._isam.marginalCovariance(key)
+        return covariance
+
+    def joint_covariance(self, first: int, second: int) -> NDArray[np.float64]:
+        """Marginal covariance (12, 12) of two poses."""
+        keys = first, second
+        joint = self._isam.jointMarginalCovariance(list(keys))
+        return np.block([[joint.at(a, b) for b in keys] for a in keys])
+
+    @property
+    def _isam(self) -> gtsam.ISAM2:
+        return self._solver if self._settings.lag is None else self._solver.getISAM2()
+
+    def _empty(self) -> gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother:
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(self._settings.relinearise)
+        parameters.relinearizeSkip = 1
+        parameters.findUnusedFactorSlots = True
+        if self._settings.lag is None:
+            return gtsam.ISAM2(parameters)
+        return gtsam.IncrementalFixedLagSmoother(self._settings.lag, parameters)
+
+    def _advance(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
+        if self._settings.lag is None:
+            self._solver.update(factors, values)
+        else:
+            self._solver.update(factors, values, stamps)
+
+    def _repair(self, error: RuntimeError) -> None:
+        """A solver that has thrown is not sound: begin a new one with all factors, until it does not throw."""
+        values = gtsam.Values(self._isam.getLinearizationPoint())
+        for key in set(values.keys()) - set(self._stamps):
+            values.erase(key)
+        if self._settings.lag is not None:
+            self._keep_within(values)
+        for _ in range(ATTEMPTS):
+            found = _NAMED.search(str(error))
+            if found is None or not values.exists(int(found[1])):
+                break
+            key = int(found[1])
+            name = gtsam.DefaultKeyFormatter(key)
+            _log.warning("%s is not determined by what was measured; it is held where it is", name)
+            self.repaired.append(name)
+            self._add(_prior(key, values, WEAK))
+            self._solver = self._empty()
+            try:
+                self._advance(self.factors(), values, {key: self._stamps[key] for key in values.keys()})  # noqa: SIM118
+            except RuntimeError as again:
+                error = again
+            else:
+                return
+        raise EstimationError(f"the factor graph cannot be solved: {' '.join(str(error).split())}") from error
+
+    def _keep_within(self, values: gtsam.Values) -> None:
+        """Of the factors, keep those whose variables are all within the lag; the oldest pose stays where it is."""
+        for _, batch in self._factors:
+            for slot in range(batch.size()):
+                if any(not values.exists(key) for key in batch.at(slot).keys()):  # noqa: SIM118
+                    batch.remove(slot)
+        oldest = min((key for key in values.keys() if is_pose(key)), key=lambda key: self._stamps[key])  # noqa: SIM118
+        self._add(_prior(oldest, values, HELD))
+
+    def _add(self, factor: gtsam.NonlinearFactor) -> None:
+        batch = gtsam.NonlinearFactorGraph()
+        batch.add(factor)
+        self._factors.append((self._factors[-1][0], batch))
+
+
+def _prior(key: int, values: gtsam.Values, sigma: float) -> gtsam.NonlinearFactor:
+    """That a variable is where it is."""
+    if is_pose(key):
+        return gtsam.PriorFactorPose3(key, values.atPose3(key), gtsam.noiseModel.Isotropic.Sigma(6, sigma))
+    return gtsam.PriorFactorPoint3(key, values.atPoint3(key), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
