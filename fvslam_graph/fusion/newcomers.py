@@ -100,15 +100,17 @@ class Newcomers:
         """Triangulate; whether the views agree."""
         seen_from = [poses[view.frame] for view in candidate.views]
         pixels = np.array([view.pixel for view in candidate.views])
+        last = seen_from[-1].rotation().matrix() @ candidate.views[-1].point
+        first = last + seen_from[-1].translation() - seen_from[0].translation()
+        angle = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
+        candidate.parallax = float(angle * self._camera.fx)
+        if not candidate.parallax > self._settings.min_parallax:  # nor where visual SLAM has dropped it: NaN
+            return False
         try:
-            point = gtsam.triangulatePoint3(seen_from, self._calibration, list(pixels), RANK_TOLERANCE, True)
+            point = gtsam.triangulatePoint3(seen_from, self._calibration, list(pixels), RANK_TOLERANCE, False)
         except RuntimeError:  # behind a camera, or at infinity
             return False
-        first, last = (point - pose.translation() for pose in (seen_from[0], seen_from[-1]))
-        angle = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
-        candidate.position, candidate.parallax = point, float(angle * self._camera.fx)
-        if candidate.parallax < self._settings.min_parallax:
-            return False
+        candidate.position = point
         there = np.array([pose.transformTo(point) for pose in seen_from])
         error = self._camera.project(there) - pixels
         variance = self._settings.pixel_sigma**2 + POSE_SLACK**2

@@ -30,12 +30,13 @@ def predict_from_odometry(state: State, prev_T_cur: GaussianPose, seconds: float
     velocity = gtsam.Pose3.Logmap(prev_T_cur.mean) / seconds
     by_motion = gtsam.Pose3.LogmapDerivative(prev_T_cur.mean) / seconds
     # Odometry is metric: in units of the map, it is as uncertain as these.
-    change = np.eye(len(state.covariance))
-    change[VELOCITY] = 0.0
-    change[VELOCITY, SCALE] = -velocity * (0, 0, 0, 1, 1, 1)
-    whole = change @ state.covariance @ change.T
-    whole[VELOCITY, VELOCITY] += by_motion @ prev_T_cur.covariance @ by_motion.T
-    return replace(state, velocity=velocity, covariance=symmetric(whole))
+    by_scale = -velocity * (0, 0, 0, 1, 1, 1)
+    whole = state.covariance.copy()
+    whole[VELOCITY] = np.outer(by_scale, whole[SCALE])
+    whole[:, VELOCITY] = whole[VELOCITY].T
+    own = whole[SCALE, SCALE] * np.outer(by_scale, by_scale) + by_motion @ prev_T_cur.covariance @ by_motion.T
+    whole[VELOCITY, VELOCITY] = symmetric(own)
+    return replace(state, velocity=velocity, covariance=whole)
 
 
 def travelled(velocity: Array, seconds: float) -> tuple[gtsam.Pose3, Array]:
