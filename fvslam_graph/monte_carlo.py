@@ -77,6 +77,7 @@ def pose_errors(
     scene: PointScene, estimates: Iterable[SlamEstimate | FrameResult]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors Logmap(estimate^-1 truth) of the poses (N, 6), rad and m, and their covariances (N, 6, 6)."""
+    estimates = list(estimates)
     errors = [
         gtsam.Pose3.Logmap(estimate.pose.mean.between(scene.trajectory.poses[estimate.index])) for estimate in estimates
     ]

@@ -22,6 +22,7 @@ from fvslam_graph.fusion.factors import (
     pose_key,
 )
 from fvslam_graph.fusion.newcomers import Newcomers, View
+from fvslam_graph.fusion.plausibility import Plausibility
 from fvslam_graph.fusion.solver import Solver
 from fvslam_graph.trajectory import Trajectory
 
@@ -46,6 +47,7 @@ class Graph:
         self.solver = Solver(settings)
         self._camera = camera
         self._landmark_factors = LandmarkFactors(camera, settings)
+        self._plausibility = Plausibility()
         self._newcomers = Newcomers(camera, settings)
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
         self._stamps: list[float] = []  # of all frames
@@ -71,8 +73,10 @@ class Graph:
             self._poses.append(gtsam.Pose3())
             self.add(pose_factor(0, GaussianPose.identity()))
         else:
-            self._poses.append(self._poses[previous].compose(prev_T_cur.mean))
-            for factor in odometry_factors(previous, index, prev_T_cur, length, self.settings):
+            motion = self._plausibility.checked(prev_T_cur, stamp - self._stamps[previous])
+            length = length if motion is prev_T_cur else None
+            self._poses.append(self._poses[previous].compose(motion.mean))
+            for factor in odometry_factors(previous, index, motion, length, self.settings):
                 self.add(factor)
         self._values.insert(pose_key(index), self._poses[-1])
         self._seen[pose_key(index)] = stamp

@@ -101,6 +101,7 @@ class Solver:
         parameters.setRelinearizeThreshold(self._settings.relinearise)
         parameters.relinearizeSkip = 1
         parameters.findUnusedFactorSlots = True
+        parameters.enablePartialRelinearizationCheck = True  # what does not move need not be looked at
         if self._settings.lag is None:
             return gtsam.ISAM2(parameters)
         return gtsam.IncrementalFixedLagSmoother(self._settings.lag, parameters)
