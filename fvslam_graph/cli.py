@@ -54,7 +54,7 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run; runs/<sequence>-<mode>-<preset> if not given.")
     ] = None,
-    mode: Annotated[str, typer.Option(help="vo, vslam, average or intersection.")] = "vo",
+    mode: Annotated[str, typer.Option(help="vo, vslam, average, intersection or graph.")] = "vo",
     preset: Annotated[str, typer.Option(help="paper or tuned.")] = "tuned",
     config: Annotated[Path | None, typer.Option(help="YAML file with settings that differ from the preset.")] = None,
     settings: Annotated[

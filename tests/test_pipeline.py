@@ -1,6 +1,7 @@
 """The loop over the frames, on a short drive."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -11,6 +12,7 @@ from fvslam_graph.errors import ConfigError
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.monte_carlo import pose_errors, run
 from fvslam_graph.pipeline import applicable, estimate, facts, stages
+from fvslam_graph.results import GRAPH, RunWriter, read_run
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.points import simulate_drive
 from fvslam_graph.trajectory import Status
@@ -210,7 +212,7 @@ def test_a_shorter_interval_where_matches_are_few(flown):
     assert intervals[1:4] == [5, 2, 1]
 
 
-@pytest.mark.parametrize("mode", ["vo", "average", "intersection"])
+@pytest.mark.parametrize("mode", ["vo", "average", "intersection", "graph"])
 def test_any_mode_runs_on_simulated_points(mode):
     """Without images; with noise, errors are small, and not larger than the covariances allow."""
     scene = simulate_drive(frames=40, seed=3, noise=0.5, landmarks=6000)
@@ -219,3 +221,64 @@ def test_any_mode_runs_on_simulated_points(mode):
     assert 1e-3 < np.linalg.norm(errors[-1, 3:]) < 0.3  # metres on 32 m; measured 0.03
     values, used = nees(errors[5:], covariances[5:])
     assert used.all() and 0.5 < values.mean() < 15
+
+
+@pytest.mark.parametrize("online", ["motion", "pose"])
+def test_the_graph_at_every_fifth_frame(flown, online):
+    results = list(estimate(flown, load_config(settings=["mode=graph", f"graph.online={online}"])))
+    ran = [result for result in results if result.slam is not None]
+    assert np.all(np.diff([result.index for result in ran]) == 5)
+    assert {result.status for result in results[1:]} == {Status.TRACKED}
+    assert all(result.times["graph"] > 0 for result in ran[1:])
+    assert len({id(result.graph) for result in results}) == 1
+    for before, after in pairwise(ran):
+        expected = before.pose.mean * after.relative.mean if online == "motion" else after.graph.pose.mean
+        if online == "motion" or after is ran[-1]:
+            assert after.pose.mean.equals(expected, 1e-9)
+    smoothed = results[-1].graph.smoothed()
+    assert len(smoothed) == 24
+    error = smoothed.poses[-1].between(flown.ground_truth.poses[23])
+    assert 0.001 < np.linalg.norm(error.translation()) < 0.5  # metres on 29 m; measured 0.1
+
+
+def test_thirty_black_images(flown):
+    """The run goes on, the covariance grows, and when it is light again, the motion is known again."""
+    long = open_sequence("synthetic:uav?frames=60")
+    dark = np.zeros((480, 640), np.uint8)
+    night = replace(long, load=lambda index: dark if 15 <= index < 45 else long.load(index))
+    results = list(estimate(night, load_config(settings=["mode=graph"])))
+    assert [result.status for result in results[16:45]] == [Status.COASTED] * 29
+    spread = [np.trace(result.pose.covariance[3:, 3:]) for result in results]
+    assert spread[44] > 100 * spread[14]
+    assert {result.status for result in results[52:]} == {Status.TRACKED}
+    truth = long.ground_truth.poses
+    for result in results[52:]:
+        error = result.relative.mean.between(truth[result.previous].between(truth[result.index]))
+        assert np.linalg.norm(error.translation()) < 0.3  # metres in up to 7 m
+
+
+def test_what_the_graph_knows_of_the_pose_is_not_counted_twice(flown):
+    """Tracks that are landmarks are left out of odometry, which then comes out otherwise."""
+    runs = [
+        list(estimate(flown, load_config(settings=["mode=graph", f"graph.counting={kind}"])))
+        for kind in ("disjoint", "double", "deflated")
+    ]
+    apart = [
+        [np.abs(a.pose.mean.localCoordinates(b.pose.mean)).max() for a, b in zip(runs[0], other, strict=True)]
+        for other in runs[1:]
+    ]
+    assert all(0 < max(differences) < 0.1 for differences in apart)
+
+
+def test_the_folder_of_a_graph_run(flown, tmp_path):
+    config = load_config(settings=["mode=graph"])
+    with RunWriter(tmp_path, config, facts(flown, config), flown.ground_truth) as writer:
+        for result in estimate(flown, config):
+            writer.add(result)
+    run = read_run(tmp_path)
+    assert run.smoothed is not None and len(run.smoothed) == len(run.online) == 24
+    assert not np.allclose(run.smoothed.positions[1:], run.online.positions[1:], atol=1e-6)
+    for name in GRAPH:
+        assert (tmp_path / name).stat().st_size > 100
+    assert "graph_ms" in run.frames
+'''

@@ -1,0 +1,145 @@
+"""The factor graph, fed with motions and landmarks of simulated scenes; see conftest."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.config import GraphSettings
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.fusion.factors import landmark_key, pose_key, position_factor
+from fvslam_graph.fusion.graph import FACTORS, G2O, LANDMARKS_PLY, VALUES, Graph
+from fvslam_graph.fusion.solver import Solver
+
+from .conftest import MOTION, error_of
+
+SEEDS = range(5)
+
+
+@pytest.mark.parametrize("odometry", ["between", "essential"])
+@pytest.mark.parametrize("landmarks", ["projection", "bearing_range", "smart", "none"])
+def test_without_noise_without_error(fed, odometry, landmarks):
+    made = fed(frames=21, noise=0.0, odometry=odometry, landmarks=landmarks)
+    assert made.error() < 1e-6
+    for first, second, motion in made.motions:
+        assert np.abs(error_of(made.scene, first, second, motion.mean)).max() < 1e-6
+
+
+def test_landmarks_make_it_better(fed):
+    with_landmarks, without = (
+        np.mean([fed(seed=seed, landmarks=kind).error() for seed in SEEDS]) for kind in ("projection", "none")
+    )
+    assert 0.02 < with_landmarks < 0.95 * without  # metres; measured 0.071 and 0.084
+
+
+def test_as_good_as_the_batch_optimum(fed):
+    made = fed(seed=1)
+    factors, values = made.graph.solver.factors(), made.graph.solver.values()
+    batch = gtsam.LevenbergMarquardtOptimizer(factors, values, gtsam.LevenbergMarquardtParams()).optimize()
+    assert factors.error(values) <= 1.01 * factors.error(batch) + 1e-6
+    positions = np.array([batch.atPose3(pose_key(index)).translation() for index in range(len(made.scene))])
+    best = np.sqrt(((positions - made.scene.trajectory.positions) ** 2).sum(axis=1).mean())
+    assert made.error() < 1.1 * best
+
+
+def test_motions_and_covariances_are_honest(fed):
+    """NEES of the motions from fusion to fusion; independent seeds, so that the band is a wide one."""
+    values = []
+    for seed in range(10):
+        made = fed(seed=seed, kernel="none")
+        for first, second, motion in made.motions[2:]:
+            error = error_of(made.scene, first, second, motion.mean)
+            values.append(error @ np.linalg.solve(motion.covariance, error))
+    assert 4.5 < np.mean(values) < 7.5  # six degrees of freedom
+
+
+def test_a_fifth_of_gross_outliers(fed):
+    """In odometry and landmarks, after a clean start."""
+    clean, wrong = (np.mean([fed(seed=seed, wrong=share).error() for seed in SEEDS]) for share in (0.0, 0.2))
+    assert 0.02 < wrong < 1.5 * clean
+
+
+def test_darkness(fed):
+    """Without landmarks and with odometry that only guesses, the covariance grows; then it is found again."""
+    made = fed(frames=61, seed=2, dark=range(21, 41))
+    spread = {second: np.trace(motion.covariance) for _, second, motion in made.motions}
+    assert spread[30] > 10 * spread[20]
+    assert spread[60] < 0.1 * spread[30]
+
+
+def test_a_fixed_lag_keeps_what_it_needs(fed):
+    whole, lagged = fed(frames=61, seed=3), fed(frames=61, seed=3, lag=2.0)
+    poses = [key for key in lagged.graph.solver.values().keys() if gtsam.Symbol(key).chr() == ord("x")]  # noqa: SIM118
+    assert len(poses) <= 22  # two seconds at 10 Hz
+    assert len(lagged.graph.smoothed()) == 61
+    for (_, _, a), (_, _, b) in zip(whole.motions, lagged.motions, strict=True):
+        assert a.mean.equals(b.mean, 0.02)
+
+
+def test_a_variable_that_is_not_determined_is_named_and_held(caplog):
+    solver = Solver(GraphSettings())
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(gtsam.PriorFactorPose3(pose_key(0), gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 0.1)))
+    calibration = gtsam.Cal3_S2(450, 450, 0, 320, 240)
+    noise = gtsam.noiseModel.Isotropic.Sigma(2, 1.0)
+    factors.add(
+        gtsam.GenericProjectionFactorCal3_S2(np.array([320.0, 240.0]), noise, pose_key(0), landmark_key(7), calibration)
+    )
+    values.insert(pose_key(0), gtsam.Pose3())
+    values.insert(landmark_key(7), np.array([0.0, 0.0, 5.0]))
+    solver.update(factors, values, {pose_key(0): 0.0, landmark_key(7): 0.0})
+    assert solver.repaired == ["l7"]
+    assert "l7 is not determined" in caplog.text
+    assert solver.point(landmark_key(7)) == pytest.approx([0, 0, 5])
+
+
+def test_written_and_read_back(fed, tmp_path):
+    made = fed(seed=1)
+    made.graph.smoothed()
+    made.graph.write(tmp_path)
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.deserialize((tmp_path / FACTORS).read_text())
+    values.deserialize((tmp_path / VALUES).read_text())
+    kept = made.graph.solver
+    assert factors.error(values) == pytest.approx(kept.factors().error(kept.values()), rel=1e-9)
+    assert factors.error(values) > 1
+    motions, poses = gtsam.readG2o(str(tmp_path / G2O), True)
+    assert poses.size() == len(made.scene) and motions.size() == len(made.scene) - 1
+    assert poses.atPose3(40).equals(kept.pose(pose_key(40)), 1e-4)
+    lines = (tmp_path / LANDMARKS_PLY).read_text().splitlines()
+    assert len(lines) - lines.index("end_header") - 1 == len(made.graph.landmarks()) > 10
+
+
+def test_the_same_bits(fed):
+    a, b = fed(seed=4), fed(seed=4)
+    assert np.array_equal(a.graph.smoothed().matrices, b.graph.smoothed().matrices)
+
+
+def test_satellites_bound_the_drift(fed):
+    """A position every ten frames, as an optional factor."""
+    made = fed(seed=1, landmarks="none")
+    camera, poses = made.scene.camera, made.scene.trajectory.poses
+    graph, rng = Graph(camera, GraphSettings(landmarks="none")), np.random.default_rng([1, 4])
+    for index in range(len(poses)):
+        previous = max(index - 1, 0)
+        motion = poses[previous].between(poses[index]).retract(20 * MOTION * rng.standard_normal(6))
+        graph.add_odometry(0.1 * index, previous, GaussianPose(motion, 400 * np.diag(MOTION**2)))
+        if index and index % 10 == 0:
+            graph.add(position_factor(index, poses[index].translation() + 0.05 * rng.standard_normal(3), 0.05))
+    graph.fuse(None)
+    off = np.linalg.norm(graph.smoothed().positions - made.scene.trajectory.positions, axis=1)
+    assert off[[10, 20, 30, 40]].max() < 0.2 < 5 * off.max()
+
+
+def test_heights_bound_the_climb(fed):
+    made = fed(frames=11, seed=1)
+    graph, poses = Graph(made.scene.camera, GraphSettings()), made.scene.trajectory.poses
+    down = np.array([0.0, 1.0, 0.0])
+    for index in range(11):
+        motion = poses[max(index - 1, 0)].between(poses[index])
+        climbing = gtsam.Pose3(motion.rotation(), motion.translation() - 0.3 * down * (index > 0))
+        graph.add_odometry(0.1 * index, max(index - 1, 0), GaussianPose(climbing, np.diag([1e-4] * 3 + [1.0] * 3)))
+        graph.add_height(1.65, 0.02, down)
+    graph.fuse(None)
+    assert graph.smoothed().positions[:, 1] == pytest.approx(np.zeros(11), abs=0.05)
+    spread = graph.pose.covariance[3:, 3:]
+    assert spread[1, 1] < 0.01 < spread[0, 0]
