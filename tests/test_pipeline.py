@@ -281,4 +281,3 @@ def test_the_folder_of_a_graph_run(flown, tmp_path):
     for name in GRAPH:
         assert (tmp_path / name).stat().st_size > 100
     assert "graph_ms" in run.frames
-'''
