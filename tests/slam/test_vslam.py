@@ -190,7 +190,8 @@ def test_odometry_as_prior_bridges_an_interval():
         last = index
         assert estimate.status is Status.TRACKED
         error = gtsam.Pose3.Logmap(estimate.prev_T_cur.mean.between(poses[estimate.previous].between(poses[index])))
-        assert np.all(np.abs(error) < 4 * sigmas)
+        length = np.linalg.norm(estimate.prev_T_cur.mean.translation())
+        assert np.all(np.abs(error) < 4 * sigmas + np.repeat([0, 0.03 * length], 3))  # the scale is that of the map
 
 
 def test_the_same_seed_gives_the_same_bits():
