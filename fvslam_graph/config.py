@@ -98,6 +98,8 @@ class SlamSettings(_Group):
     motion: Literal["constant_velocity", "odometry"] | None = None
     # Where odometry runs: landmarks are searched in their ellipses (the paper), or followed by its tracks in between.
     association: Literal["search", "tracks"] = "tracks"
+    # Whether followed landmarks are aligned with their reference patch, or taken where their track is, which drifts.
+    alignment: bool = True
     shorten: bool = False  # whether fewer matches than needed halve the interval, until they suffice again
     linear_noise: PositiveFloat = 1.0  # m/s^1.5, root of the spectral density that drives the velocity
     angular_noise: PositiveFloat = 0.3  # rad/s^1.5, likewise

@@ -11,7 +11,7 @@ import numpy as np
 
 from fvslam_graph.config import Config, Mode, ScaleSource
 from fvslam_graph.errors import ConfigError
-from fvslam_graph.estimates import GaussianPose, LogLength
+from fvslam_graph.estimates import GaussianPose, LogLength, Views
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.tracks import Association
 from fvslam_graph.fusion.average import Average
@@ -47,7 +47,7 @@ class Eyes:
 def stages(config: Config) -> tuple[str, ...]:
     """What a frame's time is made up of."""
     slam = () if config.mode is Mode.VO else SLAM_STAGES
-    return ("read", *VO_STAGES, *slam, *(("graph",) if config.mode is Mode.GRAPH else ()))
+    return ("read", *VO_STAGES, *slam, *(() if config.mode in (Mode.VO, Mode.VSLAM) else ("fusion",)))
 
 
 def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> Iterator[FrameResult]:
@@ -70,6 +70,7 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
     rule = _rule(config)
     graph = Graph(sequence.camera, config.graph) if config.mode is Mode.GRAPH else None
     disjoint = graph is not None and config.graph.counting == "disjoint"
+    absolute = config.graph.online == "pose"
     interleave = Interleave(config.interleave, config.slam.shorten)
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
@@ -96,18 +97,13 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
             slam = vslam.step(frame, prior, _followed(odometry, config))
             previous, motion, status = slam.previous, slam.prev_T_cur, slam.status
             interleave.turned_out(well=status is Status.TRACKED)
-            if rule is None and graph is None:
+            if config.mode is Mode.VSLAM:
                 reference = slam.pose
             else:
-                # Both have moved on from P_f; where visual SLAM is lost, odometry carries on alone.
-                if graph is not None:
-                    with stopwatch.stage("graph"):
-                        motion = graph.fuse(slam.views if status is Status.TRACKED else None)
-                elif rule is not None:
-                    motion = rule(chain.motion, motion) if status is Status.TRACKED else chain.motion
-                reference = reference.compose(motion)
-                if graph is not None and config.graph.online == "pose":
-                    reference = graph.pose
+                # Both have moved on from P_f, which moves by what the fusion makes of it.
+                with stopwatch.stage("fusion"):
+                    motion = graph.fuse(_views(slam)) if graph else _fused(rule, chain.motion, slam)
+                    reference = graph.pose if graph and absolute else reference.compose(motion)
                 vslam.rebase(reference)
             chain.anchor()
 
@@ -143,11 +139,21 @@ def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Se
         graph.add_height(frame.height, frame.height_sigma, sequence.ground.normal)
 
 
-def _rule(config: Config) -> FusionRule | None:
-    """What makes one motion of two; None where only one subsystem tells."""
-    if config.mode is Mode.AVERAGE:
-        return Average(config.fusion.weight, config.fusion.geodesic)
-    return Intersection(config.fusion.criterion) if config.mode is Mode.INTERSECTION else None
+def _rule(config: Config) -> FusionRule:
+    """What makes one motion of two."""
+    if config.mode is Mode.INTERSECTION:
+        return Intersection(config.fusion.criterion)
+    return Average(config.fusion.weight, config.fusion.geodesic)
+
+
+def _fused(rule: FusionRule, odometry: GaussianPose, slam: SlamEstimate) -> GaussianPose:
+    """One motion of two; where visual SLAM is lost, odometry carries on alone."""
+    return rule(odometry, slam.prev_T_cur) if slam.status is Status.TRACKED else odometry
+
+
+def _views(slam: SlamEstimate) -> Views | None:
+    """What the factor graph is told of landmarks: nothing where visual SLAM is lost."""
+    return slam.views if slam.status is Status.TRACKED else None
 
 
 def _start(

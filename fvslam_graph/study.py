@@ -14,7 +14,7 @@ import numpy as np
 
 from fvslam_graph.config import load_config
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.metrics import Evaluation
+from fvslam_graph.evaluation.metrics import Evaluation, evaluate
 from fvslam_graph.evaluation.runs import evaluation_of_results
 from fvslam_graph.pipeline import applicable, estimate
 from fvslam_graph.sequences.base import Sequence
@@ -62,9 +62,12 @@ def execute(job: Job) -> dict[str, Any]:
         "matched": _mean([result.measures.get("matched", np.nan) for result in results]),
         "ms": times.mean(),
     }
-    if sequence.ground_truth is None:
+    truth, graph = sequence.ground_truth, results[-1].graph
+    if truth is None:
         return row
-    return row | numbers(evaluation_of_results(results, sequence.ground_truth, Alignment.SIM3, config.mode))
+    row |= numbers(evaluation_of_results(results, truth, Alignment.SIM3, config.mode))
+    smoothed = evaluate(graph.smoothed(), truth, Alignment.SIM3) if graph else None
+    return row | {"ape_smoothed": smoothed.errors["ape_trans"].stats["rmse"] if smoothed else np.nan}
 
 
 def numbers(evaluation: Evaluation) -> dict[str, float]:

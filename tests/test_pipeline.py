@@ -229,7 +229,7 @@ def test_the_graph_at_every_fifth_frame(flown, online):
     ran = [result for result in results if result.slam is not None]
     assert np.all(np.diff([result.index for result in ran]) == 5)
     assert {result.status for result in results[1:]} == {Status.TRACKED}
-    assert all(result.times["graph"] > 0 for result in ran[1:])
+    assert all(result.times["fusion"] > 0 for result in ran[1:])
     assert len({id(result.graph) for result in results}) == 1
     for before, after in pairwise(ran):
         expected = before.pose.mean * after.relative.mean if online == "motion" else after.graph.pose.mean
@@ -280,4 +280,4 @@ def test_the_folder_of_a_graph_run(flown, tmp_path):
     assert not np.allclose(run.smoothed.positions[1:], run.online.positions[1:], atol=1e-6)
     for name in GRAPH:
         assert (tmp_path / name).stat().st_size > 100
-    assert "graph_ms" in run.frames
+    assert "fusion_ms" in run.frames

@@ -70,6 +70,8 @@ class PatchFinder:
         found = np.zeros(len(pixels), bool)
         found[candidates[good]] = True
         pixels[candidates[good]] = aligned[good]
+        if not settings.alignment:
+            found[~sought], pixels[~sought] = True, search_for.followed[~sought]
         return pixels, found
 
     def candidates(self, frame: Frame, taken: Array) -> Array:

@@ -1,0 +1,75 @@
+"""All modes on one sequence, and what each choice in the factor graph contributes: one row a variant, over seeds."""
+
+import numpy as np
+import typer
+from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_all, save, spread
+from matplotlib.figure import Figure
+
+from fvslam_graph.config import Mode
+from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.study import Job
+
+MODES = {mode.value: (f"mode={mode}",) for mode in Mode}
+GRAPH = {
+    "odometry as essential matrix and length": ("graph.odometry=essential",),
+    "landmarks as bearing and range": ("graph.landmarks=bearing_range",),
+    "landmarks as smart factors": ("graph.landmarks=smart",),
+    "no landmarks": ("graph.landmarks=none",),
+    "Huber's kernel": ("graph.kernel=huber", "graph.kernel_width=1.345"),
+    "no kernel": ("graph.kernel=none",),
+    "pixels counted twice": ("graph.counting=double",),
+    "odometry deflated by 2": ("graph.counting=deflated",),
+    "no alignment with reference patches": ("slam.alignment=false",),
+    "any zoom": ("graph.max_zoom=100",),
+    "25 landmarks": ("slam.min_landmarks=25",),
+    "k = 1": ("slam.interleave=1",),
+    "k = 2": ("slam.interleave=2",),
+    "k = 10": ("slam.interleave=10",),
+    "online: where the graph has the camera": ("graph.online=pose",),
+}
+VARIANTS = MODES | {f"graph, {name}": ("mode=graph", *settings) for name, settings in GRAPH.items()}
+
+
+def main(path: SequencePath, out: Out, preset: Preset = "tuned", frames: Frames = None, seeds: Seeds = 5) -> None:
+    jobs = [Job(path, frames, preset, settings, seed) for settings in VARIANTS.values() for seed in range(seeds)]
+    rows = run_all(jobs)
+    groups = {variant: rows[n * seeds : (n + 1) * seeds] for n, variant in enumerate(VARIANTS)}
+    for variant, group in groups.items():
+        for row in group:
+            row["variant"] = variant
+    name = rows[0]["sequence"]
+
+    table = markdown(
+        ("variant", "APE (m)", "smoothed", "t_rel (%)", "r_rel (deg/100 m)", "ms/frame"),
+        (
+            (
+                variant,
+                spread(group, "ape"),
+                spread(group, "ape_smoothed"),
+                f"{np.median(column(group, 't_rel')):.2f}",
+                f"{np.median(column(group, 'r_rel')):.3f}",
+                f"{np.median(column(group, 'ms')):.0f}",
+            )
+            for variant, group in groups.items()
+        ),
+    )
+    table += (
+        f"\n{name}, preset {preset}, scale by {rows[0]['scale_source']}, online unless it says smoothed, APE after "
+        f"Sim(3); median (range) over {seeds} seeds; ms: mean over frames without reading, one run on each core.\n"
+    )
+
+    def draw(figure: Figure) -> None:
+        figure.suptitle(f"{name}, preset {preset}, {seeds} seeds")
+        axes = figure.subplots()
+        for row, group in enumerate(groups.values()):
+            colour = RUN_COLOURS[0 if row < len(MODES) else 1]
+            axes.plot(column(group, "ape"), [row] * seeds, ".", color=colour, alpha=0.5)
+            axes.plot(np.median(column(group, "ape")), row, "|", color=colour, markersize=14)
+        axes.set(yticks=range(len(groups)), yticklabels=list(groups), xlabel="APE after Sim(3) (m)", xscale="log")
+        axes.invert_yaxis()
+
+    save(out, "ablation", f"{name}-{preset}", rows, table, draw, (9, 7))
+
+
+if __name__ == "__main__":
+    typer.run(main)
