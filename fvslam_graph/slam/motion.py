@@ -12,7 +12,7 @@ from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.slam.landmarks import Array, hat, seen_from
 from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State, sparse_rows, symmetric, transformed
 
-LENGTH_SIGMA = 0.3  # of the logarithm of a length that is hardly known
+LENGTH_SIGMA = 0.1  # of the logarithm of a length whose errors are alike for long
 
 
 def predict_constant_velocity(state: State, seconds: float, settings: SlamSettings, surprise: float = 1.0) -> State:
