@@ -45,7 +45,6 @@ class Graph:
     def __init__(self, camera: Camera, settings: GraphSettings) -> None:
         self.settings = settings
         self.solver = Solver(settings)
-        self._camera = camera
         self._landmark_factors = LandmarkFactors(camera, settings)
         self._plausibility = Plausibility()
         self._newcomers = Newcomers(camera, settings)
@@ -76,6 +75,10 @@ class Graph:
             motion = self._plausibility.checked(prev_T_cur, stamp - self._stamps[previous])
             length = length if motion is prev_T_cur else None
             self._poses.append(self._poses[previous].compose(motion.mean))
+            if self.settings.lag is not None and stamp - self._stamps[previous] > self.settings.lag:
+                # What odometry refers to is no longer kept: a camera that stands still has an old reference.
+                previous = index - 1
+                motion = GaussianPose(self._poses[previous].between(self._poses[index]), motion.covariance)
             for factor in odometry_factors(previous, index, motion, length, self.settings):
                 self.add(factor)
         self._values.insert(pose_key(index), self._poses[-1])

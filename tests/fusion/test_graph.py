@@ -4,6 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.factors import landmark_key, pose_key, position_factor
@@ -73,6 +74,17 @@ def test_a_fixed_lag_keeps_what_it_needs(fed):
     assert len(lagged.graph.smoothed()) == 61
     for (_, _, a), (_, _, b) in zip(whole.motions, lagged.motions, strict=True):
         assert a.mean.equals(b.mean, 0.02)
+
+
+def test_standing_still_for_longer_than_the_lag():
+    """Odometry refers to the frame where the camera came to rest, for as long as it rests."""
+    camera = Camera(640, 480, 450.0, 450.0, 319.5, 239.5)
+    graph = Graph(camera, GraphSettings(lag=2.0))
+    for index in range(61):
+        graph.add_odometry(0.1 * index, 0, GaussianPose(gtsam.Pose3(), 1e-6 * np.eye(6)))
+        if index and index % 5 == 0:
+            graph.fuse(None)
+    assert np.abs(graph.smoothed().positions).max() < 1e-6
 
 
 def test_a_variable_that_is_not_determined_is_named_and_held(caplog):
