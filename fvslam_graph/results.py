@@ -209,9 +209,9 @@ class RunWriter:
                     covariances=np.array([r.relative.covariance for r in self._results]).reshape(-1, 6, 6),
                     pose_covariances=np.array([r.pose.covariance for r in self._results]).reshape(-1, 6, 6),
                 )
+            self._write_info(status)
             if self._graph is not None:
                 self._write_graph(self._graph)
-            self._write_info(status)
 
     def _write_graph(self, graph: Graph) -> None:
         smoothed = graph.smoothed()
