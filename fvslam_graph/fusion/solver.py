@@ -17,6 +17,7 @@ _log = logging.getLogger(__name__)
 
 WEAK = 10.0  # rad and m: a prior that determines a variable and pulls at nothing
 HELD = 1e-3  # rad and m: the oldest pose within a lag, where what was before is lost
+TURNED = 1e-3  # rad; a pose that turns by more is linearised again
 ATTEMPTS = 20  # repairs of one update
 _NAMED = re.compile(r"variable\s+(\d+)")
 
@@ -35,12 +36,14 @@ class Solver:
         self.repaired: list[str] = []  # variables that were not determined, in the order of their repair
         self._factors: list[tuple[float, gtsam.NonlinearFactorGraph]] = []  # by update, with its time; within the lag
         self._stamps: dict[int, float] = {}  # when each variable was seen last
+        self._factorization = "CHOLESKY"
         self._solver = self._empty()
 
     def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
         """Take in new factors, first values of new variables, and the time (s) of all variables seen now.
 
-        A variable that the factors do not determine is named, gets a weak prior, and all is solved anew.
+        Where that fails, all is solved anew by QR. A variable that the factors do not determine is named, and gets a weak
+        prior.
 
         Raises:
             EstimationError: It cannot be repaired.
@@ -98,8 +101,12 @@ class Solver:
 
     def _empty(self) -> gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother:
         parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(self._settings.relinearise)
+        thresholds = gtsam.ISAM2ThresholdMap()
+        thresholds.insert(("x", np.repeat([TURNED, self._settings.relinearise], 3)))
+        thresholds.insert(("l", np.full(3, self._settings.relinearise)))
+        parameters.setRelinearizeThreshold(thresholds)
         parameters.relinearizeSkip = 1
+        parameters.setFactorization(self._factorization)
         parameters.findUnusedFactorSlots = True
         parameters.enablePartialRelinearizationCheck = True  # what does not move need not be looked at
         if self._settings.lag is None:
@@ -119,18 +126,24 @@ class Solver:
             values.erase(key)
         if self._settings.lag is not None:
             self._keep_within(values)
+        stamps = {key: self._stamps[key] for key in values.keys()}  # noqa: SIM118
         for _ in range(ATTEMPTS):
-            found = _NAMED.search(str(error))
-            if found is None or not values.exists(int(found[1])):
-                break
-            key = int(found[1])
-            name = gtsam.DefaultKeyFormatter(key)
-            _log.warning("%s is not determined by what was measured; it is held where it is", name)
-            self.repaired.append(name)
-            self._add(_prior(key, values, WEAK))
+            if self._factorization == "CHOLESKY" and self._settings.landmarks != "smart":
+                # Squares of numbers that differ by a thousand may be what is not sound; QR is slower, and needs none.
+                self._factorization = "QR"
+            else:
+                found = _NAMED.search(str(error))
+                if found is None or not values.exists(int(found[1])):
+                    break
+                key = int(found[1])
+                name = gtsam.DefaultKeyFormatter(key)
+                sigma = WEAK / 10 ** self.repaired.count(name)  # stronger, where it did not help
+                _log.warning("%s is not determined by what was measured; it is held within %g", name, sigma)
+                self.repaired.append(name)
+                self._add(_prior(key, values, sigma))
             self._solver = self._empty()
             try:
-                self._advance(self.factors(), values, {key: self._stamps[key] for key in values.keys()})  # noqa: SIM118
+                self._advance(self.factors(), values, stamps)
             except RuntimeError as again:
                 error = again
             else:
