@@ -42,8 +42,8 @@ class Solver:
     def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
         """Take in new factors, first values of new variables, and the time (s) of all variables seen now.
 
-        Where that fails, all is solved anew by QR. A variable that the factors do not determine is named, and gets a weak
-        prior.
+        Where that fails, all is solved anew by QR. A variable that the factors do not determine is named, and gets a
+        weak prior.
 
         Raises:
             EstimationError: It cannot be repaired.
