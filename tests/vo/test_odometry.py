@@ -131,7 +131,7 @@ def test_oracle(flight):
 def test_map_keeps_one_scale(flight):
     lengths = flight.relative_lengths(flight.run(settings=("scale.source=map",))[1:])
     assert 1e-5 < lengths.std() / lengths.mean() < 0.015  # measured 0.005
-    assert abs(np.log(lengths.mean())) > 0.3  # nothing tells which one
+    assert 0.005 < abs(np.log(lengths.mean())) < 1.5  # the first guess, by where rays meet the ground; measured 0.02
 
 
 def test_unit(drive):

@@ -48,7 +48,7 @@ def world(camera, two_views):
 def estimate(world, source: str, known=None, height=HEIGHT, aligner=None, true_baseline=None, **settings):
     two_view, ray, unit, everything = world
     scale = MetricScale(ScaleSettings(source=ScaleSource(source), **settings), aligner, true_baseline)
-    return scale.estimate(
+    known_scale, metric_map, _ = scale.estimate(
         Frame(3, 0.3, GREY, height),
         Frame(5, 0.5, GREY, height),
         two_view,
@@ -58,6 +58,7 @@ def estimate(world, source: str, known=None, height=HEIGHT, aligner=None, true_b
         FALLBACK,
         np.random.default_rng(0),
     )
+    return known_scale, metric_map
 
 
 def test_fusion_is_the_kalman_update():
@@ -157,10 +158,11 @@ def test_an_uncertain_height_makes_an_uncertain_scale(world):
     two_view, ray, unit, _ = world
     metric = MetricScale(ScaleSettings(), Plumb(BASELINE / HEIGHT, 0.0), None)
     frames = [Frame(i, float(i), GREY, HEIGHT, height_sigma=0.1 * HEIGHT) for i in range(2)]
-    scale, _ = metric.estimate(
+    scale, _, measured = metric.estimate(
         *frames, two_view, ray, unit, MetricMap.empty(), LogScale(0.0, 1e6), np.random.default_rng(0)
     )
     assert scale.variance == pytest.approx(0.1**2 + 0.05**2, rel=1e-3)
+    assert measured is not None and measured.variance == pytest.approx(0.1**2 + 0.05**2)
 
 
 @pytest.mark.parametrize("height", [math.nan, 0.0, -1.0])
