@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
@@ -41,11 +42,26 @@ class GaussianPose:
 
 
 @dataclass(frozen=True)
-class LogLength:
-    """The natural logarithm of a length as a normal distribution: its mean, log(metres), and variance."""
+class LogScale:
+    """The natural logarithm of a scale, as a normal distribution.
+
+    Attributes:
+        mean: log(metres per unit baseline).
+        variance: Its variance; 1 stands for "within a factor of about e".
+    """
 
     mean: float
     variance: float
+
+    @property
+    def metres(self) -> float:
+        """Length of the baseline."""
+        return math.exp(self.mean)
+
+    def fused(self, other: LogScale) -> LogScale:
+        """The product of two independent estimates, as in a Kalman update."""
+        gain = self.variance / (self.variance + other.variance)
+        return LogScale(self.mean + gain * (other.mean - self.mean), (1 - gain) * self.variance)
 
 
 @dataclass(frozen=True)

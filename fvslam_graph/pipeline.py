@@ -11,7 +11,7 @@ import numpy as np
 
 from fvslam_graph.config import Config, Mode, ScaleSource
 from fvslam_graph.errors import ConfigError
-from fvslam_graph.estimates import GaussianPose, LogLength, Views
+from fvslam_graph.estimates import GaussianPose, Views
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.tracks import Association
 from fvslam_graph.fusion.average import Average
@@ -132,9 +132,7 @@ def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None
 
 def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Sequence) -> None:
     """A frame with what odometry says of it, for the factor graph."""
-    measured = odometry.measured
-    length = None if measured is None else LogLength(measured.mean, measured.variance)
-    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, length)
+    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, odometry.measured)
     if graph.settings.heights and sequence.ground is not None and frame.height > 0:
         graph.add_height(frame.height, frame.height_sigma, sequence.ground.normal)
 

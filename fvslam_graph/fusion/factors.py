@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, LogLength
+from fvslam_graph.estimates import GaussianPose, LogScale
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def robust(model: gtsam.noiseModel.Base, settings: GraphSettings) -> gtsam.noise
 
 
 def odometry_factors(
-    previous: int, index: int, prev_T_cur: GaussianPose, length: LogLength | None, settings: GraphSettings
+    previous: int, index: int, prev_T_cur: GaussianPose, length: LogScale | None, settings: GraphSettings
 ) -> list[gtsam.NonlinearFactor]:
     """A motion of odometry between two frames.
 

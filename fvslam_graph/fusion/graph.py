@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, LogLength, Views
+from fvslam_graph.estimates import GaussianPose, LogScale, Views
 from fvslam_graph.fusion.factors import (
     LandmarkFactors,
     height_factor,
@@ -56,7 +56,7 @@ class Graph:
         self._begin_batch()
 
     def add_odometry(
-        self, stamp: float, previous: int, prev_T_cur: GaussianPose, length: LogLength | None = None
+        self, stamp: float, previous: int, prev_T_cur: GaussianPose, length: LogScale | None = None
     ) -> None:
         """The next frame, with its motion since an earlier one.
 

@@ -9,11 +9,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.estimates import GaussianPose, LogScale
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.trajectory import Status
-from fvslam_graph.vo.scale import LogScale, MetricMap
+from fvslam_graph.vo.scale import MetricMap
 from fvslam_graph.vo.two_view import TwoView
 
 

@@ -8,8 +8,7 @@ import gtsam
 import numpy as np
 
 from fvslam_graph.config import VoSettings
-from fvslam_graph.estimates import GaussianPose
-from fvslam_graph.vo.scale import LogScale
+from fvslam_graph.estimates import GaussianPose, LogScale
 
 UNKNOWN_VELOCITY = (1.0, 10.0)  # rad/s, m/s, standard deviations before anything was measured
 

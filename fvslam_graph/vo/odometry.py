@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import Config, ScaleSource
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.estimates import GaussianPose, LogScale
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
@@ -26,7 +26,7 @@ from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.locate import locate
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.rotation import fit_rotation
-from fvslam_graph.vo.scale import LogScale, MetricMap, MetricScale
+from fvslam_graph.vo.scale import MetricMap, MetricScale
 from fvslam_graph.vo.two_view import estimate_two_view, rays
 
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.config import ScaleSettings, ScaleSource
 from fvslam_graph.errors import ConfigError
+from fvslam_graph.estimates import LogScale
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.vo.depth import InverseDepths
 from fvslam_graph.vo.ground import GroundAligner
@@ -19,29 +20,6 @@ from fvslam_graph.vo.two_view import TwoView
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
 VAGUE = 0.2**2  # of log scale: such a prediction does not lead to the ground
 MIN_COMMON = 10  # tracks of known depth that tell a scale
-
-
-@dataclass(frozen=True)
-class LogScale:
-    """The natural logarithm of a scale, as a normal distribution.
-
-    Attributes:
-        mean: log(metres per unit baseline).
-        variance: Its variance; 1 stands for "within a factor of about e".
-    """
-
-    mean: float
-    variance: float
-
-    @property
-    def metres(self) -> float:
-        """Length of the baseline."""
-        return math.exp(self.mean)
-
-    def fused(self, other: LogScale) -> LogScale:
-        """The product of two independent estimates, as in a Kalman update."""
-        gain = self.variance / (self.variance + other.variance)
-        return LogScale(self.mean + gain * (other.mean - self.mean), (1 - gain) * self.variance)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, LogLength, Views
+from fvslam_graph.estimates import GaussianPose, LogScale, Views
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.sequences.points import PointScene, simulate_drive
 
@@ -57,7 +57,7 @@ def fed() -> Callable[..., Fed]:
         for index in range(len(scene)):
             previous = max(index - 1, 0)
             motion, covariance = poses[previous].between(poses[index]), np.diag(MOTION**2)
-            length = LogLength(np.log(max(np.linalg.norm(motion.translation()), 1e-9)), 0.02**2)
+            length = LogScale(np.log(max(np.linalg.norm(motion.translation()), 1e-9)), 0.02**2)
             if index in dark:
                 motion, covariance, length = poses[0].between(poses[1]), 0.3**2 * np.eye(6), None
             elif rng.random() < wrong and index > CLEAN:

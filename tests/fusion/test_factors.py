@@ -6,7 +6,7 @@ import pytest
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, LogLength
+from fvslam_graph.estimates import GaussianPose, LogScale
 from fvslam_graph.fusion.factors import (
     LandmarkFactors,
     height_factor,
@@ -62,7 +62,7 @@ def test_five_degrees_of_freedom_and_a_length_are_six():
     variance = 0.02**2
     at = poses(gtsam.Pose3.Expmap(np.arange(6) / 7), gtsam.Pose3.Expmap(np.arange(6) / 7) * MOTION)
     six = odometry_factors(0, 1, metric(variance), None, PLAIN)
-    length = LogLength(np.log(np.linalg.norm(MOTION.translation())), variance)
+    length = LogScale(np.log(np.linalg.norm(MOTION.translation())), variance)
     essential = PLAIN.model_copy(update={"odometry": "essential"})
     five_and_one = odometry_factors(0, 1, metric(variance), length, essential)
     assert (len(six), len(five_and_one)) == (1, 2)
