@@ -2,12 +2,11 @@
 
 import numpy as np
 import typer
-from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_all, save, spread
+from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_variants, save, spread
 from matplotlib.figure import Figure
 
 from fvslam_graph.config import Mode
 from fvslam_graph.evaluation.plots import RUN_COLOURS
-from fvslam_graph.study import Job
 
 MODES = {mode.value: (f"mode={mode}",) for mode in Mode}
 GRAPH = {
@@ -31,12 +30,8 @@ VARIANTS = MODES | {f"graph, {name}": ("mode=graph", *settings) for name, settin
 
 
 def main(path: SequencePath, out: Out, preset: Preset = "tuned", frames: Frames = None, seeds: Seeds = 5) -> None:
-    jobs = [Job(path, frames, preset, settings, seed) for settings in VARIANTS.values() for seed in range(seeds)]
-    rows = run_all(jobs)
-    groups = {variant: rows[n * seeds : (n + 1) * seeds] for n, variant in enumerate(VARIANTS)}
-    for variant, group in groups.items():
-        for row in group:
-            row["variant"] = variant
+    groups = run_variants("variant", VARIANTS, path, frames, preset, seeds)
+    rows = [row for group in groups.values() for row in group]
     name = rows[0]["sequence"]
 
     table = markdown(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,6 +31,15 @@ Seeds = Annotated[int, typer.Option(help="How many runs of each kind.", min=1)]
 def run_all(jobs: Sequence[Job], processes: int | None = None) -> Rows:
     """The rows of all jobs in their order, with a bar on a terminal."""
     return list(track(execute_all(jobs, processes), "runs", len(jobs), console=Console(stderr=True), transient=True))
+
+
+def run_variants(
+    kind: str, variants: Mapping[Any, tuple[str, ...]], path: str, frames: str | None, preset: str, seeds: int
+) -> dict[Any, Rows]:
+    """The rows of each variant, one a seed; the variant itself is in the column `kind`."""
+    jobs = [Job(path, frames, preset, settings, seed) for settings in variants.values() for seed in range(seeds)]
+    rows = iter(run_all(jobs))
+    return {variant: [next(rows) | {kind: variant} for _ in range(seeds)] for variant in variants}
 
 
 def column(rows: Iterable[dict[str, Any]], name: str) -> NDArray[np.float64]:

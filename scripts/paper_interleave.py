@@ -2,11 +2,10 @@
 
 import numpy as np
 import typer
-from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_all, save, spread
+from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_variants, save, spread
 from matplotlib.figure import Figure
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS
-from fvslam_graph.study import Job
 
 DISTANCES = range(1, 11)
 SHOWN = {"ape": "APE after Sim(3) (m)", "ms": "time (ms/frame, mean)", "matched": "matches per V-SLAM frame"}
@@ -20,12 +19,9 @@ def main(
     frames: Frames = None,
     seeds: Seeds = 5,
 ) -> None:
-    settings = [(f"mode={mode}", f"slam.interleave={distance}") for distance in DISTANCES]
-    rows = run_all([Job(path, frames, preset, chosen, seed) for chosen in settings for seed in range(seeds)])
-    groups = {distance: rows[n * seeds : (n + 1) * seeds] for n, distance in enumerate(DISTANCES)}
-    for distance, group in groups.items():
-        for row in group:
-            row["interleave"] = distance
+    variants = {distance: (f"mode={mode}", f"slam.interleave={distance}") for distance in DISTANCES}
+    groups = run_variants("interleave", variants, path, frames, preset, seeds)
+    rows = [row for group in groups.values() for row in group]
     name = rows[0]["sequence"]
 
     table = markdown(

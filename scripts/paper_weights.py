@@ -1,22 +1,18 @@
 """The paper's claim that fifty-fifty is best: fusion weight of V-SLAM, from 0 to 1, against APE and drift."""
 
 import typer
-from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_all, save, spread
+from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_variants, save, spread
 from matplotlib.figure import Figure
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS
-from fvslam_graph.study import Job
 
 WEIGHTS = [round(0.1 * step, 1) for step in range(11)]
 
 
 def main(path: SequencePath, out: Out, preset: Preset = "tuned", frames: Frames = None, seeds: Seeds = 5) -> None:
-    settings = [("mode=average", f"fusion.weight={weight}") for weight in WEIGHTS]
-    rows = run_all([Job(path, frames, preset, chosen, seed) for chosen in settings for seed in range(seeds)])
-    groups = {weight: rows[n * seeds : (n + 1) * seeds] for n, weight in enumerate(WEIGHTS)}
-    for weight, group in groups.items():
-        for row in group:
-            row["weight"] = weight
+    variants = {weight: ("mode=average", f"fusion.weight={weight}") for weight in WEIGHTS}
+    groups = run_variants("weight", variants, path, frames, preset, seeds)
+    rows = [row for group in groups.values() for row in group]
     name = rows[0]["sequence"]
 
     table = markdown(
