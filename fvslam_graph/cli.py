@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fvslam_graph.config import Config
     from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.sequences.base import Sequence
+    from fvslam_graph.study.declaration import Study
 
 app = typer.Typer(
     name="fvslam",
@@ -30,6 +31,7 @@ app = typer.Typer(
 )
 
 WIDE = 240  # characters
+FEW = 8  # rows of a table that fit beside each other
 
 _T = TypeVar("_T")
 
@@ -45,6 +47,10 @@ Stride = Annotated[int, typer.Option(help="Take every n-th frame.", min=1)]
 ImageScale = Annotated[float, typer.Option(help="Resize the images by this factor, at most 1.")]
 CameraHeight = Annotated[float | None, typer.Option(help="Metres from the camera to the ground.")]
 CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera looks below the horizon.")]
+Preset = Annotated[str, typer.Option(help="paper or tuned.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
+]
 Align = Annotated[str, typer.Option(help="none, origin, se3 or sim3.")]
 
 
@@ -55,11 +61,9 @@ def run(
         Path | None, typer.Option(help="Folder of the run; runs/<sequence>-<mode>-<preset> if not given.")
     ] = None,
     mode: Annotated[str, typer.Option(help="vo, vslam, average, intersection or graph.")] = "vo",
-    preset: Annotated[str, typer.Option(help="paper or tuned.")] = "tuned",
+    preset: Preset = "tuned",
     config: Annotated[Path | None, typer.Option(help="YAML file with settings that differ from the preset.")] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
-    ] = None,
+    settings: Settings = None,
     seed: Annotated[int | None, typer.Option(help="Of all random numbers.")] = None,
     frames: Frames = None,
     stride: Stride = 1,
@@ -94,7 +98,7 @@ def evaluate(
     align: Align = "se3",
 ) -> None:
     """Compare a trajectory with a reference: APE, RPE, drift, coverage, consistency."""
-    from fvslam_graph.evaluation.report import rich_table, summary_table
+    from fvslam_graph.evaluation.report import runs_table, summary_table
     from fvslam_graph.evaluation.runs import evaluate_files, evaluate_run
 
     alignment = _alignment(align)
@@ -102,7 +106,7 @@ def evaluate(
         raise FvslamError(f"{estimate} does not exist; give the folder of a run, or a TUM or KITTI file")
     if estimate.is_dir():
         evaluation = evaluate_run(estimate, reference, alignment)
-        _show(rich_table([estimate]))
+        _show(runs_table([estimate]).rich(across=True))
     elif reference is None:
         raise FvslamError(f"{estimate} is a file: give the trajectory to compare it with by --reference")
     else:
@@ -125,12 +129,64 @@ def plot(
     """Plot trajectories, errors, speed, scale and inliers of one or several runs, as PNG and PDF."""
     from fvslam_graph.evaluation.landmark_plots import plot_landmarks
     from fvslam_graph.evaluation.plots import plot_runs
+    from fvslam_graph.run_folder import read_run
 
-    for file in plot_runs(runs, out or runs[0], _alignment(align)):
+    for file in plot_runs([read_run(run) for run in runs], out or runs[0], _alignment(align)):
         typer.echo(file)
     if landmarks is not None:
         for file in plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]):
             typer.echo(file)
+
+
+@app.command()
+def compare(
+    path: SequencePath,
+    modes: Annotated[str, typer.Option(help="Comma-separated.")] = "vo,vslam,average,intersection,graph",
+    seeds: Annotated[int, typer.Option(help="How many runs of each mode.", min=1)] = 5,
+    preset: Preset = "tuned",
+    settings: Settings = None,
+    external: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Trajectory of another system, TUM or KITTI; FILE@0.1: stamps count frames of 0.1 s. Repeatable.",
+            metavar="NAME=FILE",
+        ),
+    ] = None,
+    align: Align = "sim3",
+    out: Annotated[Path | None, typer.Option(help="Folder; runs/comparison-on-... if not given.")] = None,
+    workers: Annotated[int, typer.Option(help="Runs at once; with 1, times are undisturbed.", min=1)] = 1,
+) -> None:
+    """Run all modes on a sequence over several seeds, and compare them, also with other systems."""
+    import yaml
+
+    from fvslam_graph.study.declaration import comparison, default_folder
+
+    files = dict(_pair(text, "--external", "NAME=FILE") for text in external or [])
+    values = dict(_pair(text, "--set", "group.name=value") for text in settings or [])
+    study = comparison(
+        path,
+        modes.split(","),
+        seeds,
+        preset,
+        {name: yaml.safe_load(value) for name, value in values.items()},
+        files,
+        align,
+    )
+    _carry_out(study, out or default_folder(study), workers)
+
+
+@app.command()
+def study(
+    file: Annotated[Path, typer.Argument(metavar="STUDY.yaml", help="Sequences, modes, settings, seeds.")],
+    out: Annotated[Path | None, typer.Option(help="Folder; runs/<name> if not given. What it holds is kept.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes at once; one a core if not given.", min=1)] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Of a dask cluster to use.", metavar="tcp://HOST:PORT")] = None,
+) -> None:
+    """Run a grid of sequences, modes, settings and seeds in parallel, and report on it; go on where it was stopped."""
+    from fvslam_graph.study.declaration import default_folder, load_study
+
+    declared = load_study(file)
+    _carry_out(declared, out or default_folder(declared), workers, scheduler)
 
 
 @app.command()
@@ -156,8 +212,9 @@ def demo(
     from fvslam_graph.config import Mode, load_config
     from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.plots import plot_runs
-    from fvslam_graph.evaluation.report import rich_table
+    from fvslam_graph.evaluation.report import runs_table
     from fvslam_graph.evaluation.runs import evaluate_run
+    from fvslam_graph.run_folder import read_run
     from fvslam_graph.sequences.opening import open_sequence
 
     sequence = open_sequence(f"synthetic:uav?frames={frames}")
@@ -167,14 +224,30 @@ def demo(
         folders.append(out / f"{mode}-{preset}")
         _run(sequence, load_config(preset, settings=[f"mode={mode}"]), folders[-1])
         evaluate_run(folders[-1], align=Alignment.SE3)
-    plots = plot_runs(folders, out / "plots", Alignment.SE3)
-    _show(rich_table(folders))
+    plots = plot_runs([read_run(folder) for folder in folders], out / "plots", Alignment.SE3)
+    _show(runs_table(folders).rich(across=True))
     typer.echo(f"plots: {', '.join(str(file) for file in plots if file.suffix == '.png')}")
+
+
+def _carry_out(study: Study, out: Path, workers: int | None, scheduler: str | None = None) -> None:
+    from fvslam_graph.study.carry_out import carry_out
+    from fvslam_graph.study.statistics import differences, verdicts
+
+    outcome = carry_out(study, out, workers, scheduler, lambda rows, total: _progress(rows, total, study.name))
+    summary, failures = outcome.summary(), outcome.failures()
+    _show(summary.rich(across=len(summary.rows) <= FEW))
+    for sentence in verdicts(differences(outcome)):
+        typer.echo(sentence)
+    if failures.rows:
+        _show(failures.rich())
+    typer.echo(f"report: {out / 'report.html'}")
+    if not len(outcome.finished):
+        raise FvslamError("no run came to its end; the table says why")
 
 
 def _run(sequence: Sequence, config: Config, folder: Path, source: dict[str, Any] | None = None) -> None:
     from fvslam_graph.pipeline import applicable, estimate, facts
-    from fvslam_graph.results import RunWriter
+    from fvslam_graph.run_folder import RunWriter
 
     effective = applicable(config, sequence)
     if effective != config:
@@ -201,6 +274,13 @@ def _show(table: Table) -> None:
     from rich.console import Console
 
     Console(width=None if sys.stdout.isatty() else WIDE).print(table)
+
+
+def _pair(text: str, option: str, form: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise FvslamError(f"{option} takes {form}, not '{text}'")
+    return name, value
 
 
 def _numbers(text: str) -> list[int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
 
+from fvslam_graph.complaints import complaint
 from fvslam_graph.errors import ConfigError
 
 
@@ -209,7 +209,7 @@ def load_config(preset: str = "tuned", file: Path | None = None, settings: Seque
     try:
         return Config.model_validate(values)
     except ValidationError as error:
-        raise ConfigError(_explain(error)) from None
+        raise ConfigError(complaint(error, Config, "setting")) from None
 
 
 def _read(file: Path) -> dict[str, Any]:
@@ -246,26 +246,3 @@ def _merge(values: dict[str, Any], changes: dict[str, Any]) -> None:
             _merge(values[key], change)
         else:
             values[key] = change
-
-
-def _explain(error: ValidationError) -> str:
-    """The first complaint as one sentence; an unknown name gets the nearest valid one."""
-    complaint = error.errors()[0]
-    name = ".".join(map(str, complaint["loc"]))
-    if complaint["type"] == "extra_forbidden":
-        nearest = difflib.get_close_matches(name, _names(Config), 1, 0)[0]
-        return f"there is no setting '{name}'; the nearest is '{nearest}'"
-    if complaint["type"] == "model_type":
-        return f"'{name}' is a group of settings and cannot be {complaint['input']!r}; set {name}.NAME"
-    return f"the setting '{name}' cannot be {complaint['input']!r}: {complaint['msg'].lower()}"
-
-
-def _names(group: type[BaseModel], prefix: str = "") -> list[str]:
-    names = []
-    for name, field in group.model_fields.items():
-        inner = field.annotation
-        if isinstance(inner, type) and issubclass(inner, BaseModel):
-            names += _names(inner, f"{prefix}{name}.")
-        else:
-            names.append(prefix + name)
-    return names

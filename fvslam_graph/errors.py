@@ -27,3 +27,7 @@ class ResultsError(FvslamError):
 
 class EstimationError(FvslamError):
     """An estimate that cannot be made from what was measured."""
+
+
+class StudyError(FvslamError):
+    """A study that is not well declared, or cannot be carried out."""

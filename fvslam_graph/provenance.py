@@ -1,5 +1,6 @@
 """Under which circumstances a run was made: versions, revision, machine, memory."""
 
+import contextlib
 import os
 import platform
 import subprocess
@@ -36,6 +37,12 @@ def peak_memory_mb() -> float:
         return float("nan")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak * (1 if sys.platform == "darwin" else 1024) / 1e6  # macOS counts bytes, Linux kibibytes
+
+
+def forget_peak_memory() -> None:
+    """Let `peak_memory_mb` begin anew, so that a run does not answer for those before it; Linux only."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
 
 
 def _git_revision() -> str | None:

@@ -30,7 +30,7 @@ VARIANTS = MODES | {f"graph, {name}": ("mode=graph", *settings) for name, settin
 
 
 def main(path: SequencePath, out: Out, preset: Preset = "tuned", frames: Frames = None, seeds: Seeds = 5) -> None:
-    groups = run_variants("variant", VARIANTS, path, frames, preset, seeds)
+    groups = run_variants("variant", VARIANTS, path, frames, preset, seeds, out)
     rows = [row for group in groups.values() for row in group]
     name = rows[0]["sequence"]
 

@@ -16,8 +16,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from fvslam_graph.config import load_config
+from fvslam_graph.errors import FvslamError
+from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.plots import STYLE
-from fvslam_graph.study import Job, execute_all
+from fvslam_graph.study.execution import execute_all
+from fvslam_graph.study.job import Job, Source
 
 Rows = list[dict[str, Any]]
 
@@ -28,17 +32,41 @@ Frames = Annotated[str | None, typer.Option(help="Part of the sequence, START:ST
 Seeds = Annotated[int, typer.Option(help="How many runs of each kind.", min=1)]
 
 
-def run_all(jobs: Sequence[Job], processes: int | None = None) -> Rows:
-    """The rows of all jobs in their order, with a bar on a terminal."""
-    return list(track(execute_all(jobs, processes), "runs", len(jobs), console=Console(stderr=True), transient=True))
+def job_of(path: str, frames: str | None, preset: str, settings: Iterable[str]) -> Job:
+    """One run."""
+    return Job(Source(path=path, frames=frames), load_config(preset, settings=list(settings)))
+
+
+def run_all(jobs: Sequence[Job], out: Path, workers: int | None = None) -> Rows:
+    """The rows of all jobs in their order, with a bar on a terminal; runs are kept in `out`/runs, and not done again.
+
+    Raises:
+        FvslamError: One of them failed.
+    """
+    rows = execute_all(jobs, out / "runs", Alignment.SIM3, workers)
+    done = dict(track(rows, "runs", len(jobs), console=Console(stderr=True), transient=True))
+    for row in done.values():
+        if row["status"] != "finished":
+            raise FvslamError(f"{row['mode']} on {row['sequence']} with seed {row['seed']} {row['status']}")
+    return [done[number] for number in range(len(jobs))]
 
 
 def run_variants(
-    kind: str, variants: Mapping[Any, tuple[str, ...]], path: str, frames: str | None, preset: str, seeds: int
+    kind: str,
+    variants: Mapping[Any, tuple[str, ...]],
+    path: str,
+    frames: str | None,
+    preset: str,
+    seeds: int,
+    out: Path,
 ) -> dict[Any, Rows]:
     """The rows of each variant, one a seed; the variant itself is in the column `kind`."""
-    jobs = [Job(path, frames, preset, settings, seed) for settings in variants.values() for seed in range(seeds)]
-    rows = iter(run_all(jobs))
+    jobs = [
+        job_of(path, frames, preset, (*settings, f"seed={seed}"))
+        for settings in variants.values()
+        for seed in range(seeds)
+    ]
+    rows = iter(run_all(jobs, out))
     return {variant: [next(rows) | {kind: variant} for _ in range(seeds)] for variant in variants}
 
 

@@ -16,11 +16,12 @@ from fvslam_graph.config import load_config
 from fvslam_graph.errors import FvslamError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.plots import RUN_COLOURS, TRUTH, level_axes
-from fvslam_graph.evaluation.runs import evaluation_of_results
+from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.pipeline import applicable, estimate, facts
+from fvslam_graph.results import collect
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.slam.estimate import Outcome
-from fvslam_graph.study import numbers
+from fvslam_graph.study.job import numbers
 
 MODES = {"vo": "VO", "vslam": "V-SLAM", "average": "our approach"}
 KINDS = {  # the paper's colours
@@ -45,7 +46,8 @@ def main(
     for mode in MODES:
         config = applicable(load_config(preset, settings=[f"mode={mode}", f"seed={seed}"]), sequence)
         runs[mode] = list(estimate(sequence, config))
-        evaluations[mode] = evaluation_of_results(runs[mode], sequence.ground_truth, Alignment.SIM3, mode)
+        run = collect(runs[mode], config, facts(sequence, config), sequence.ground_truth)
+        evaluations[mode] = evaluation_of(run, align=Alignment.SIM3)
     searched = {r.index: r.slam.searched for r in runs["average"] if r.slam is not None and len(r.slam.searched)}
     middle = len(sequence) // 2 if shown is None else shown
     index = min(searched, key=lambda frame: abs(frame - middle))
@@ -78,7 +80,9 @@ def main(
         for axes, (mode, label), colour in zip(panels, MODES.items(), RUN_COLOURS, strict=False):
             error = evaluations[mode].errors["ape_trans"]
             axes.plot(*from_above(evaluations[mode].association.reference.positions).T, **TRUTH)
-            axes.plot(*from_above(error.trajectories[mode].positions_xyz).T, color=colour, label=label)
+            axes.plot(
+                *from_above(error.trajectories[evaluations[mode].name].positions_xyz).T, color=colour, label=label
+            )
             axes.set(title=f"{label}: APE {error.stats['rmse']:.3g} m", xlabel="right (m)", ylabel="forward (m)")
             axes.set_aspect("equal", adjustable="datalim")
             axes.legend()

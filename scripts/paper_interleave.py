@@ -20,7 +20,7 @@ def main(
     seeds: Seeds = 5,
 ) -> None:
     variants = {distance: (f"mode={mode}", f"slam.interleave={distance}") for distance in DISTANCES}
-    groups = run_variants("interleave", variants, path, frames, preset, seeds)
+    groups = run_variants("interleave", variants, path, frames, preset, seeds, out)
     rows = [row for group in groups.values() for row in group]
     name = rows[0]["sequence"]
 

@@ -6,11 +6,10 @@ measured in a slow minute of the machine alone.
 
 import numpy as np
 import typer
-from experiments import Frames, Out, Preset, SequencePath, markdown, run_all, save
+from experiments import Frames, Out, Preset, SequencePath, job_of, markdown, run_all, save
 from matplotlib.figure import Figure
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS
-from fvslam_graph.study import Job
 
 FEATURES = (15, 17, 19, 21, 23, 25)
 MODES = {"vo": "VO", "vslam": "V-SLAM", "average": "ours"}
@@ -31,11 +30,11 @@ def main(
 ) -> None:
     kinds = [(mode, count) for count in FEATURES for mode in MODES]
     jobs = [
-        Job(path, frames, preset, (f"mode={mode}", f"slam.min_landmarks={count}"))
-        for _ in range(repeat)
+        job_of(path, frames, preset, (f"mode={mode}", f"slam.min_landmarks={count}", f"seed={turn}"))
+        for turn in range(repeat)
         for mode, count in kinds
     ]
-    rows = run_all(jobs, processes=1)
+    rows = run_all(jobs, out, workers=1)
     for row, (_, count) in zip(rows, kinds * repeat, strict=True):
         row["features"] = count
     measured = {mode: np.array([_median(rows, mode, count) for count in FEATURES]) for mode in MODES}

@@ -11,7 +11,7 @@ WEIGHTS = [round(0.1 * step, 1) for step in range(11)]
 
 def main(path: SequencePath, out: Out, preset: Preset = "tuned", frames: Frames = None, seeds: Seeds = 5) -> None:
     variants = {weight: ("mode=average", f"fusion.weight={weight}") for weight in WEIGHTS}
-    groups = run_variants("weight", variants, path, frames, preset, seeds)
+    groups = run_variants("weight", variants, path, frames, preset, seeds, out)
     rows = [row for group in groups.values() for row in group]
     name = rows[0]["sequence"]
 

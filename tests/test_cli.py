@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from fvslam_graph import pipeline
-from fvslam_graph.results import read_run
+from fvslam_graph.run_folder import read_run
 
 COMMANDS = ("run", "evaluate", "plot", "info", "demo")
 HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib"}

@@ -12,7 +12,7 @@ from fvslam_graph.errors import ConfigError
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.monte_carlo import pose_errors, run
 from fvslam_graph.pipeline import applicable, estimate, facts, stages
-from fvslam_graph.results import GRAPH, RunWriter, read_run
+from fvslam_graph.run_folder import GRAPH, RunWriter, read_run
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.points import simulate_drive
 from fvslam_graph.trajectory import Status

@@ -10,7 +10,8 @@ from pydantic import BaseModel
 
 from fvslam_graph.errors import ResultsError, TrajectoryError
 from fvslam_graph.estimates import GaussianPose
-from fvslam_graph.results import FrameResult, RunWriter, read_run
+from fvslam_graph.results import FrameResult
+from fvslam_graph.run_folder import RunWriter, read_run
 from fvslam_graph.trajectory import Status, Trajectory
 
 STEP = gtsam.Pose3(gtsam.Rot3.Ypr(0.02, 0.01, -0.01), np.array([0.1, 0.0, 1.0]))

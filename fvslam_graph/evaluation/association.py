@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.errors import TrajectoryError
-from fvslam_graph.results import read_run
+from fvslam_graph.run_folder import read_run
 from fvslam_graph.trajectory import Trajectory
 
 MAX_DIFFERENCE = 0.01  # s between associated stamps: the default of evo_ape
@@ -75,7 +75,7 @@ def load_trajectory(path: Path) -> Trajectory:
     """
     if path.is_dir():
         return read_run(path).online
-    return Trajectory.read_kitti(path) if _has_no_stamps(path) else Trajectory.read_tum(path)
+    return Trajectory.read_kitti(path) if has_no_stamps(path) else Trajectory.read_tum(path)
 
 
 def load_pair(estimate: Path, reference: Path) -> tuple[Trajectory, Trajectory]:
@@ -87,19 +87,19 @@ def load_pair(estimate: Path, reference: Path) -> tuple[Trajectory, Trajectory]:
     """
     a, b = load_trajectory(estimate), load_trajectory(reference)
     for path in (estimate, reference):
-        if len(a) != len(b) and path.is_file() and _has_no_stamps(path):
+        if len(a) != len(b) and path.is_file() and has_no_stamps(path):
             raise TrajectoryError(
                 f"{path} has no stamps, so {estimate} and {reference} must have equally many poses, "
                 f"not {len(a)} and {len(b)}; use TUM files, which have stamps"
             )
-    if estimate.is_file() and _has_no_stamps(estimate):
+    if estimate.is_file() and has_no_stamps(estimate):
         return Trajectory(b.stamps, a.poses), b
-    if reference.is_file() and _has_no_stamps(reference):
+    if reference.is_file() and has_no_stamps(reference):
         return a, Trajectory(a.stamps, b.poses)
     return a, b
 
 
-def _has_no_stamps(path: Path) -> bool:
+def has_no_stamps(path: Path) -> bool:
     """Whether a file is in KITTI's format: twelve numbers in its first line of data; TUM has eight."""
     try:
         with path.open() as file:

@@ -12,7 +12,7 @@ from fvslam_graph.errors import ResultsError
 from fvslam_graph.evaluation.plots import STYLE, level_axes
 from fvslam_graph.files import writing
 from fvslam_graph.landmark_table import NEW, read_landmarks
-from fvslam_graph.results import INFO, LANDMARKS, read_run
+from fvslam_graph.run_folder import INFO, LANDMARKS, read_run
 from fvslam_graph.sequences.opening import open_sequence
 
 if TYPE_CHECKING:

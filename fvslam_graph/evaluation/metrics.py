@@ -11,7 +11,8 @@ from fvslam_graph.evaluation.association import Association, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
 from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
 from fvslam_graph.files import write_json, writing
-from fvslam_graph.results import METRICS, REFERENCE, Relatives
+from fvslam_graph.results import Relatives
+from fvslam_graph.run_folder import METRICS, REFERENCE
 from fvslam_graph.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from fvslam_graph.evaluation.association import Association
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.files import writing
-from fvslam_graph.results import Relatives, Run, read_run
+from fvslam_graph.results import Relatives, Run
 from fvslam_graph.trajectory import Status, Trajectory
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart.
-RUN_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+RUN_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#888888", "#C0B000")
 STATUS_COLOURS = {
     Status.STATIC: "#999999",
     Status.COASTED: "#E69F00",
@@ -42,6 +42,8 @@ STYLE = {
     "legend.frameon": False,
     "savefig.dpi": 150,
     "pdf.fonttype": 42,  # text stays text in the PDF
+    "svg.fonttype": "none",  # and in the SVG
+    "svg.hashsalt": "fvslam",
 }
 
 
@@ -55,16 +57,27 @@ class _Curve:
     estimate: Trajectory
 
 
-def plot_runs(folders: Sequence[Path], out: Path, align: Alignment = Alignment.SE3) -> list[Path]:
+FIGURES = ("trajectory", "speed", "features", "error")
+
+
+def plot_runs(
+    runs: Sequence[Run],
+    out: Path,
+    align: Alignment = Alignment.SE3,
+    figures: Sequence[str] = FIGURES,
+    suffixes: Sequence[str] = (".png", ".pdf"),
+) -> list[Path]:
     """Draw the online trajectories of runs on the same sequence, what their errors are and what the estimator saw.
 
-    Writes `plot_trajectory`, `plot_error`, `plot_speed` and `plot_features`, each as .png and .pdf. Runs without
-    ground truth are drawn in their own first camera frame and have no error.
+    Writes `plot_trajectory`, `plot_speed`, `plot_features` and `plot_error`. Runs without ground truth are drawn in
+    their own first camera frame and have no error.
 
     Args:
-        folders: Of the runs.
+        runs: Their names are in the legends.
         out: Folder for the figures, created.
         align: How the estimates are brought into the world of the ground truth.
+        figures: Which of FIGURES.
+        suffixes: Of the files, one for each format.
 
     Returns:
         The files.
@@ -75,13 +88,14 @@ def plot_runs(folders: Sequence[Path], out: Path, align: Alignment = Alignment.S
     """
     import matplotlib
 
-    runs = [read_run(folder) for folder in folders]
     names = sorted({str(run.info.get("sequence")) for run in runs})
     if len(names) > 1:
         raise ResultsError(f"the runs are of different sequences, {', '.join(names)}; plot each sequence on its own")
     for run in runs:
         if len(run.online) < 2:
-            raise ResultsError(f"{run.folder} holds too few poses to plot, {len(run.online)}; two are needed")
+            raise ResultsError(
+                f"{run.folder or run.name} holds too few poses to plot, {len(run.online)}; two are needed"
+            )
     level = np.eye(4)
     level[:3, :3] = level_axes(np.array(runs[0].info.get("down") or (0.0, 1.0, 0.0)))
     truth = _ground_truth(runs)
@@ -94,18 +108,27 @@ def plot_runs(folders: Sequence[Path], out: Path, align: Alignment = Alignment.S
         "trajectory": _draw_trajectory,
         "speed": _draw_speed,
         "features": _draw_features,
+        "error": _draw_error,
     }
-    if any(curve.evaluation for curve in curves):
-        drawings["error"] = _draw_error
     files = []
     with writing(out), matplotlib.rc_context(STYLE):
         out.mkdir(parents=True, exist_ok=True)
-        for name, draw in drawings.items():
+        for name in figures:
+            if name == "error" and not any(curve.evaluation for curve in curves):
+                continue
             figure = _figure(curves)
-            draw(figure, curves, truth)
-            for suffix in (".png", ".pdf"):
-                files.append(out / f"plot_{name}{suffix}")
-                figure.savefig(files[-1])
+            drawings[name](figure, curves, truth)
+            files += save(figure, out / f"plot_{name}", suffixes)
+    return files
+
+
+def save(figure: Figure, stem: Path, suffixes: Sequence[str]) -> list[Path]:
+    """Write a figure once for each suffix, always with the same bytes; returns the files."""
+    files = []
+    for suffix in suffixes:
+        files.append(stem.with_name(stem.name + suffix))
+        undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix)
+        figure.savefig(files[-1], metadata=undated)
     return files
 
 

@@ -1,4 +1,4 @@
-"""One table of many runs, for the terminal and as Markdown, and one of everything about a single trajectory."""
+"""One table of many runs, and one of everything about a single trajectory."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fvslam_graph.errors import ResultsError
-from fvslam_graph.results import METRICS, Run, read_run
+from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.results import Run
+from fvslam_graph.run_folder import METRICS, read_run
 from fvslam_graph.trajectory import Status
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.table import Table as RichTable
 
     from fvslam_graph.evaluation.metrics import Evaluation
 
@@ -30,36 +32,23 @@ COLUMNS = (
 )
 
 
-def markdown_table(folders: Sequence[Path]) -> str:
-    """The runs as a Markdown table, one row each, with the caption below; see `report_rows`."""
-    rule = ["---"] * NUMBERS + ["---:"] * (len(COLUMNS) - NUMBERS)
-    rows = ([cell.replace("|", "\\|") for cell in row] for row in report_rows(folders))
-    lines = (" | ".join(cells).join(("| ", " |")) for cells in (COLUMNS, rule, *rows))
-    return "\n".join(lines) + f"\n\n{CAPTION}\n"
+def runs_table(folders: Sequence[Path]) -> Table:
+    """The runs, one row each; "-" where a run failed early, has no ground truth or was not evaluated.
+
+    Raises:
+        ResultsError: A folder is not that of a run, or damaged.
+    """
+    return Table(COLUMNS, [_row(folder, read_run(folder)) for folder in folders], NUMBERS, CAPTION)
 
 
-def rich_table(folders: Sequence[Path]) -> Table:
-    """The runs as a table for the terminal, one column each, so that it fits; see `report_rows`."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    names, *rows = zip(COLUMNS, *report_rows(folders), strict=True)
-    table = Table(caption=CAPTION)
-    for number, name in enumerate(names):
-        table.add_column(escape(name), justify="right" if number else "left")
-    for row in rows:
-        table.add_row(*map(escape, row))
-    return table
-
-
-def summary_table(evaluation: Evaluation) -> Table:
+def summary_table(evaluation: Evaluation) -> RichTable:
     """All metrics of one trajectory as a table for the terminal, with the notes below."""
     from rich.markup import escape
-    from rich.table import Table
+    from rich.table import Table as RichTable
 
     association = evaluation.association
     how = "with the reference interpolated" if association.interpolated else "by nearest stamps"
-    table = Table(title=escape(evaluation.name), caption="\n".join(evaluation.notes), show_header=False)
+    table = RichTable(title=escape(evaluation.name), caption="\n".join(evaluation.notes), show_header=False)
     if evaluation.coverage is not None:
         table.add_row("coverage", f"{100 * evaluation.coverage:.1f} % of {evaluation.frames} frames")
     table.add_row("association", f"{len(association.indices)} of {evaluation.poses} poses {how}")
@@ -77,17 +66,8 @@ def summary_table(evaluation: Evaluation) -> Table:
     return table
 
 
-def report_rows(folders: Sequence[Path]) -> list[list[str]]:
-    """The cells of COLUMNS for each run; "-" where a run failed early, has no ground truth or was not evaluated.
-
-    Raises:
-        ResultsError: A folder is not that of a run, or damaged.
-    """
-    return [_row(read_run(folder)) for folder in folders]
-
-
-def _row(run: Run) -> list[str]:
-    path = run.folder / METRICS
+def _row(folder: Path, run: Run) -> list[str]:
+    path = folder / METRICS
     try:
         metrics = json.loads(path.read_text()) if path.exists() else {}
     except (OSError, ValueError) as error:

@@ -9,7 +9,8 @@ import pytest
 from pydantic import BaseModel
 
 from fvslam_graph.estimates import GaussianPose
-from fvslam_graph.results import FrameResult, RunWriter
+from fvslam_graph.results import FrameResult
+from fvslam_graph.run_folder import RunWriter
 from fvslam_graph.trajectory import Status, Trajectory
 
 WORLD_T_START = gtsam.Pose3(gtsam.Rot3.Ypr(2.0, 0.3, -0.4), np.array([120.0, -40.0, 7.0]))

@@ -13,7 +13,7 @@ from fvslam_graph.errors import ResultsError, TrajectoryError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import evaluate
 from fvslam_graph.evaluation.runs import evaluate_files, evaluate_run, evaluation_of
-from fvslam_graph.results import read_run
+from fvslam_graph.run_folder import read_run
 from fvslam_graph.trajectory import Status, Trajectory
 
 from .conftest import WORLD_T_START, MakeRun, drive

@@ -6,6 +6,7 @@ import pytest
 
 from fvslam_graph.errors import ResultsError
 from fvslam_graph.evaluation.plots import level_axes, plot_runs
+from fvslam_graph.run_folder import read_run
 
 from .conftest import MakeRun, drive
 
@@ -22,7 +23,7 @@ def coloured(path: Path, colour: str) -> int:
 
 def test_figures_of_two_runs_hold_both(make_run: MakeRun, tmp_path: Path) -> None:
     folders = [make_run("first", truth=drive(80), gain=1.1), make_run("second", truth=drive(80), gain=0.9, seed=1)]
-    files = plot_runs(folders, tmp_path / "out")
+    files = plot_runs([read_run(folder) for folder in folders], tmp_path / "out")
     assert sorted(path.name for path in files) == sorted(f"plot_{n}{s}" for n in NAMES for s in (".png", ".pdf"))
     for path in files:
         if path.suffix == ".pdf":
@@ -34,7 +35,7 @@ def test_figures_of_two_runs_hold_both(make_run: MakeRun, tmp_path: Path) -> Non
 
 def test_a_run_without_ground_truth_is_drawn_without_error(make_run: MakeRun) -> None:
     folder = make_run(truth=drive(20), ground_truth=False, down=None)
-    files = plot_runs([folder], folder)
+    files = plot_runs([read_run(folder)], folder)
     assert {path.stem for path in files} == {"plot_trajectory", "plot_speed", "plot_features"}
     assert all(path.stat().st_size > 5000 for path in files)
 
@@ -42,11 +43,11 @@ def test_a_run_without_ground_truth_is_drawn_without_error(make_run: MakeRun) ->
 def test_what_cannot_be_plotted_is_one_sentence(make_run: MakeRun, tmp_path: Path) -> None:
     one, other = make_run("one", truth=drive(20)), make_run("other", truth=drive(20), sequence="walk")
     with pytest.raises(ResultsError, match="different sequences, drive, walk"):
-        plot_runs([one, other], tmp_path)
+        plot_runs([read_run(one), read_run(other)], tmp_path)
     with pytest.raises(ResultsError, match="too few poses to plot, 1;"):
-        plot_runs([make_run("short", truth=drive(1))], tmp_path)
+        plot_runs([read_run(make_run("short", truth=drive(1)))], tmp_path)
     with pytest.raises(ResultsError, match="cannot be written"):
-        plot_runs([one], one / "run.json")
+        plot_runs([read_run(one)], one / "run.json")
 
 
 @pytest.mark.parametrize(

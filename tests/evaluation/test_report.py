@@ -6,14 +6,14 @@ from rich.console import Console
 from rich.table import Table
 
 from fvslam_graph.errors import ResultsError
-from fvslam_graph.evaluation.report import COLUMNS, markdown_table, report_rows, rich_table, summary_table
+from fvslam_graph.evaluation.report import COLUMNS, runs_table, summary_table
 from fvslam_graph.evaluation.runs import evaluate_run
 
 from .conftest import MakeRun, drive
 
 
 def row(folder: Path) -> dict[str, str]:
-    return dict(zip(COLUMNS, report_rows([folder])[0], strict=True))
+    return dict(zip(COLUMNS, runs_table([folder]).rows[0], strict=True))
 
 
 def shown(table: Table) -> str:
@@ -49,10 +49,10 @@ def test_failed_partial_and_unevaluated_runs_are_rows(make_run: MakeRun, tmp_pat
 def test_the_tables_hold_all_runs(make_run: MakeRun) -> None:
     folders = [make_run("good"), make_run("bad|run", seed=1, scale_source="[unit]")]
     evaluate_run(folders[0])
-    lines = markdown_table(folders).splitlines()
+    lines = runs_table(folders).markdown().splitlines()
     assert [line.replace("\\|", "").count("|") for line in lines[:4]] == [len(COLUMNS) + 1] * 4
     assert lines[3].startswith("| bad\\|run | vo | [unit] | finished |")
-    text = shown(rich_table(folders))
+    text = shown(runs_table(folders).rich(across=True))
     assert all(name in text for name in ("good", "bad|run", "[unit]", *COLUMNS))
 
 
@@ -60,7 +60,7 @@ def test_a_damaged_metrics_file_is_one_sentence(make_run: MakeRun) -> None:
     folder = make_run()
     (folder / "metrics.json").write_text("{")
     with pytest.raises(ResultsError, match=r"metrics\.json cannot be read"):
-        report_rows([folder])
+        runs_table([folder])
 
 
 def test_the_summary_holds_every_metric_that_there_is(make_run: MakeRun) -> None:

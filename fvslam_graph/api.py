@@ -1,0 +1,121 @@
+"""The package from Python: run an estimator, evaluate a trajectory, compare modes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from fvslam_graph.config import Mode, load_config
+from fvslam_graph.errors import FvslamError
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.association import load_trajectory
+from fvslam_graph.evaluation.metrics import Evaluation
+from fvslam_graph.evaluation.metrics import evaluate as evaluate_trajectory
+from fvslam_graph.evaluation.runs import evaluation_of
+from fvslam_graph.pipeline import applicable, estimate, facts
+from fvslam_graph.results import Run, collect
+from fvslam_graph.run_folder import RunWriter, read_run
+from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.study.carry_out import carry_out
+from fvslam_graph.study.declaration import comparison, default_folder
+from fvslam_graph.study.outcome import Outcome
+from fvslam_graph.trajectory import Trajectory
+
+
+def run(
+    sequence: Sequence | str | Path,
+    mode: str = "vo",
+    preset: str = "tuned",
+    settings: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    out: Path | None = None,
+) -> Run:
+    """Run an estimator on a sequence.
+
+    Args:
+        sequence: As `open_sequence` returns it, or what it takes: a folder, a video or `synthetic:uav`.
+        mode: "vo", "vslam", "average", "intersection" or "graph".
+        preset: "paper" or "tuned".
+        settings: What differs from the preset, such as {"scale.source": "map"}.
+        seed: Of all random numbers.
+        out: Folder of the run; without it, nothing is written.
+
+    Returns:
+        Trajectories, covariances, a table of all frames, and the ground truth that `evaluate` takes.
+
+    Raises:
+        FvslamError: One sentence on what is missing, unknown or out of range.
+    """
+    recording = sequence if isinstance(sequence, Sequence) else open_sequence(sequence)
+    changes = [f"{name}={json.dumps(value)}" for name, value in (settings or {}).items()]
+    config = applicable(load_config(preset, settings=[f"mode={mode}", f"seed={seed}", *changes]), recording)
+    description = facts(recording, config)
+    if out is None:
+        return collect(estimate(recording, config), config, description, recording.ground_truth)
+    with RunWriter(out, config, description, recording.ground_truth) as writer:
+        for result in estimate(recording, config):
+            writer.add(result)
+    return read_run(out)
+
+
+def evaluate(
+    estimated: Run | Trajectory | str | Path, reference: Trajectory | str | Path | None = None, align: str = "se3"
+) -> Evaluation:
+    """Compare a trajectory with its ground truth: APE and RPE (evo), drift (KITTI), NEES.
+
+    Args:
+        estimated: A run, a trajectory, or a TUM or KITTI file or run folder.
+        reference: A trajectory or its file; a run knows its own.
+        align: "none", "origin", "se3" or "sim3".
+
+    Raises:
+        FvslamError: A file cannot be read, there is no reference, or the two have no time in common.
+    """
+    alignment = Alignment(align)
+    if isinstance(estimated, str | Path) and Path(estimated).is_dir():
+        estimated = read_run(Path(estimated))
+    truth = load_trajectory(Path(reference)) if isinstance(reference, str | Path) else reference
+    if isinstance(estimated, Run):
+        return evaluation_of(estimated, truth, alignment)
+    if truth is None:
+        raise FvslamError("a trajectory that is not that of a run needs a reference to be compared with")
+    if isinstance(estimated, Trajectory):
+        return evaluate_trajectory(estimated, truth, alignment)
+    return evaluate_trajectory(load_trajectory(Path(estimated)), truth, alignment, Path(estimated).stem)
+
+
+def compare(
+    sequence: str | Path,
+    modes: Iterable[str] = tuple(Mode),
+    seeds: int | Iterable[int] = 5,
+    preset: str = "tuned",
+    settings: Mapping[str, Any] | None = None,
+    external: Mapping[str, str | Path] | None = None,
+    align: str = "sim3",
+    out: Path | None = None,
+    workers: int = 1,
+) -> Outcome:
+    """Run several modes on one sequence, over several seeds, beside the trajectories of other systems.
+
+    Args:
+        sequence: A folder, a video or `synthetic:uav`.
+        modes: Which.
+        seeds: How many, or which.
+        preset: "paper" or "tuned".
+        settings: What differs from the preset; a list of values makes a variant of each.
+        external: Trajectory files by the name of their system; see `fvslam_graph.study.external.external_run`.
+        align: "none", "origin", "se3" or "sim3".
+        out: Folder for runs, tables, figures and report; runs/compare-... if not given. Runs that it holds are kept.
+        workers: Processes at once; with several, times are those of runs that share the machine.
+
+    Returns:
+        `table` is a pandas DataFrame with a row for each run, `summary()` the table of medians.
+
+    Raises:
+        FvslamError: One sentence on what is missing, unknown or out of range.
+    """
+    study = comparison(sequence, modes, seeds, preset, settings, external, align)
+    return carry_out(study, out or default_folder(study), workers)

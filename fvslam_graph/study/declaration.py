@@ -1,0 +1,187 @@
+"""What a study consists of, as declared in a YAML file."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import yaml
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from fvslam_graph.complaints import complaint
+from fvslam_graph.config import Mode, load_config
+from fvslam_graph.errors import ConfigError, StudyError
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.study.job import Job, Source
+
+
+def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(set(values)) < len(values):
+        raise ValueError("something is listed twice")
+    return values
+
+
+def _sources(values: Any) -> Any:
+    """A sequence of which only the path is given may be written as that path."""
+    if not isinstance(values, list):
+        return values
+    return [{"path": value} if isinstance(value, str) else value for value in values]
+
+
+def _distinct_names(sources: tuple[Source, ...]) -> tuple[Source, ...]:
+    if len({source.label for source in sources}) < len(sources):
+        raise ValueError("two have the same name; give each a name of its own")
+    return sources
+
+
+def _numbers(value: Any) -> Any:
+    """A number of seeds means 0, 1, ... below it."""
+    return range(value) if isinstance(value, int) else value
+
+
+class Study(BaseModel):
+    """A grid: every sequence x mode x preset x combination of settings x seed is a run.
+
+    Attributes:
+        name: Title of the report.
+        sequences: Paths, or groups with path, name, frames, stride, scale, camera_height, camera_pitch.
+        modes: Of the estimator.
+        presets: "paper", "tuned" or both.
+        settings: Values to try by setting, such as {"fusion.weight": [0.3, 0.5]}; a single value holds for all runs.
+        seeds: How many, or which.
+        align: How estimates are brought into the world of the ground truth.
+        external: Trajectories of other systems by the name of their sequence: files by the name of the system, as for
+            `external_run`.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = "study"
+    sequences: Annotated[
+        tuple[Source, ...], BeforeValidator(_sources), AfterValidator(_distinct_names), Field(min_length=1)
+    ]
+    modes: Annotated[tuple[Mode, ...], AfterValidator(_distinct), Field(min_length=1)] = tuple(Mode)
+    presets: Annotated[tuple[Literal["paper", "tuned"], ...], AfterValidator(_distinct), Field(min_length=1)] = (
+        "tuned",
+    )
+    settings: dict[str, Any] = {}
+    seeds: Annotated[
+        tuple[Annotated[int, Field(ge=0)], ...],
+        BeforeValidator(_numbers),
+        AfterValidator(_distinct),
+        Field(min_length=1),
+    ] = (0, 1, 2, 3, 4)
+    align: Alignment = Alignment.SIM3
+    external: dict[str, dict[str, str]] = {}
+
+    @model_validator(mode="after")
+    def _external_is_of_sequences(self) -> Self:
+        labels = [source.label for source in self.sequences]
+        for name in self.external:
+            if name not in labels:
+                raise ValueError(f"external: '{name}' is none of the sequences {', '.join(labels)}")
+        return self
+
+    def jobs(self) -> list[Job]:
+        """All runs, sequence by sequence.
+
+        Raises:
+            ConfigError: There is no such setting, or a value is out of its range.
+        """
+        fixed = [_setting(name, value) for name, value in self.settings.items() if not isinstance(value, list)]
+        varied = [
+            [_setting(name, value) for value in values]
+            for name, values in self.settings.items()
+            if isinstance(values, list)
+        ]
+        return [
+            Job(
+                source,
+                load_config(preset, settings=[f"mode={mode}", f"seed={seed}", *fixed, *variant]),
+                ", ".join(variant),
+            )
+            for source, preset, variant, mode, seed in itertools.product(
+                self.sequences, self.presets, itertools.product(*varied), self.modes, self.seeds
+            )
+        ]
+
+
+def load_study(file: Path) -> Study:
+    """Read a declaration; relative paths of recordings are relative to its folder.
+
+    Raises:
+        StudyError: The file cannot be read, a name is unknown or a value is not possible.
+    """
+    try:
+        content = yaml.safe_load(file.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise StudyError(f"{file} cannot be read as a study: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise StudyError(f"{file} must hold a mapping, such as 'sequences: [synthetic:uav]'")
+
+    def below(path: str) -> str:
+        return str(file.parent / Path(path).expanduser())
+
+    try:
+        study = Study.model_validate({"name": file.stem} | content)
+        study.jobs()
+    except ValidationError as error:
+        raise StudyError(f"{file}: {complaint(error, Study, 'entry')}") from None
+    except ConfigError as error:
+        raise StudyError(f"{file}: {error}") from None
+    sequences = tuple(
+        source if source.path.startswith("synthetic:") else source.model_copy(update={"path": below(source.path)})
+        for source in study.sequences
+    )
+    external = {
+        sequence: {name: below(path) for name, path in files.items()} for sequence, files in study.external.items()
+    }
+    return study.model_copy(update={"sequences": sequences, "external": external})
+
+
+def comparison(
+    sequence: str | Path,
+    modes: Iterable[str],
+    seeds: int | Iterable[int],
+    preset: str,
+    settings: Mapping[str, Any] | None,
+    external: Mapping[str, str | Path] | None,
+    align: str,
+) -> Study:
+    """The study of one sequence; the arguments are those of `fvslam_graph.compare`.
+
+    Raises:
+        StudyError: A value is not possible.
+        ConfigError: A setting is unknown or out of its range.
+    """
+    label = Source(path=str(sequence)).label
+    try:
+        study = Study.model_validate(
+            {
+                "name": f"Comparison on {label}",
+                "sequences": [str(sequence)],
+                "modes": list(modes),
+                "presets": [preset],
+                "settings": dict(settings or {}),
+                "seeds": seeds if isinstance(seeds, int) else list(seeds),
+                "align": align,
+                "external": {label: {name: str(file) for name, file in external.items()}} if external else {},
+            }
+        )
+    except ValidationError as error:
+        raise StudyError(complaint(error, Study, "entry")) from None
+    study.jobs()
+    return study
+
+
+def default_folder(study: Study) -> Path:
+    """Where a study is kept if nothing else is said."""
+    return Path("runs") / re.sub(r"[^\w.-]+", "-", study.name.lower())
+
+
+def _setting(name: str, value: Any) -> str:
+    return f"{name}={json.dumps(value)}"

@@ -1,0 +1,109 @@
+"""Many runs, one after another or in parallel; each is kept when it ends, and none is done twice."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import cv2
+
+from fvslam_graph.errors import FvslamError, StudyError
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.study.job import Job, Row, execute, kept
+
+# Instead of dask's own, with which every large array is fetched from the system anew: rendering takes five
+# times as long.
+WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+
+
+def execute_all(
+    jobs: Sequence[Job],
+    runs: Path,
+    align: Alignment = Alignment.SIM3,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> Iterator[tuple[int, Row]]:
+    """Which job, and its row, as each ends; first those that were done before.
+
+    A run that fails is a row, too: its column `status` says why.
+
+    Args:
+        jobs: In the order in which they are begun.
+        runs: Folder of their folders; with a scheduler, on a file system that its workers see under the same path.
+        align: For the evaluation.
+        workers: Processes at once, by default one a core. 1 is this process, one run after another.
+        scheduler: Address of a running dask scheduler to use instead, such as tcp://HOST:8786.
+
+    Raises:
+        StudyError: The scheduler does not answer.
+    """
+    pending: dict[int, Path] = {}
+    for number, job in enumerate(jobs):
+        try:
+            folder = job.folder(runs)
+        except FvslamError as error:
+            yield number, _failed(job, error)
+            continue
+        if (row := kept(folder, align)) is None:
+            pending[number] = folder
+        else:
+            yield number, row
+    workers = min(workers or os.cpu_count() or 1, len(pending))
+    if pending and (scheduler is not None or workers > 1):
+        yield from _distributed(jobs, pending, align, workers, scheduler)
+    else:
+        for number, folder in pending.items():
+            yield number, _attempt(jobs[number], folder, align)
+
+
+def _distributed(
+    jobs: Sequence[Job], pending: Mapping[int, Path], align: Alignment, workers: int, scheduler: str | None
+) -> Iterator[tuple[int, Row]]:
+    """On dask: a cluster of processes on this machine, or one that exists."""
+    import dask
+    from distributed import Client, LocalCluster, as_completed
+
+    with ExitStack() as stack:
+        if scheduler is None:
+            stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT}))
+            cluster = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+                )
+            )
+            client = stack.enter_context(Client(cluster))
+        else:
+            try:
+                client = stack.enter_context(Client(scheduler, timeout="20s"))
+            except OSError:
+                raise StudyError(
+                    f"no dask scheduler answers at {scheduler}; start one, or leave the address out"
+                ) from None
+        # In the order of the jobs, so that a worker stays with a recording that it has opened.
+        numbers = {
+            client.submit(_on_worker, jobs[number], folder.absolute(), align, key=folder.name, priority=-number): number
+            for number, folder in pending.items()
+        }
+        for future in as_completed(numbers):
+            number, error = numbers[future], future.exception()  # of a worker that died, above all
+            yield number, future.result() if error is None else _failed(jobs[number], error)
+
+
+def _on_worker(job: Job, folder: Path, align: Alignment) -> Row:
+    cv2.setNumThreads(1)  # as many runs as cores go on at once
+    return _attempt(job, folder, align)
+
+
+def _attempt(job: Job, folder: Path, align: Alignment) -> Row:
+    try:
+        return execute(job, folder, align)
+    except Exception as error:  # one run that fails must not end the study
+        return _failed(job, error)
+
+
+def _failed(job: Job, error: BaseException) -> Row:
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return job.labels() | {"status": f"failed: {reason}"}

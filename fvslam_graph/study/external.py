@@ -1,0 +1,78 @@
+"""Trajectories of other people's systems, as rows beside our own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.errors import FvslamError, TrajectoryError
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.association import has_no_stamps, load_trajectory
+from fvslam_graph.evaluation.runs import evaluation_of
+from fvslam_graph.results import Run
+from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.study.job import Row, numbers
+from fvslam_graph.study.outcome import EXTERNAL
+from fvslam_graph.trajectory import Trajectory
+
+
+def external_run(name: str, file: str, sequence: Sequence) -> Run:
+    """A trajectory file as a run on a sequence.
+
+    Args:
+        name: Of the system.
+        file: TUM, with the stamps of the recording, or KITTI, one row a frame. `FILE@0.1`: its stamps are the numbers
+            of the frames times 0.1 s, as of systems that were fed at a fixed rate.
+        sequence: With ground truth.
+
+    Raises:
+        TrajectoryError: It cannot be read, or does not belong to the sequence.
+    """
+    path, period = _split(file)
+    trajectory = load_trajectory(path)
+    if period is not None:
+        trajectory = _at_frames(np.rint(trajectory.stamps / period).astype(int), trajectory, sequence, path)
+    elif has_no_stamps(path):
+        trajectory = _at_frames(np.arange(len(trajectory)), trajectory, sequence, path)
+    return Run(
+        name=name,
+        online=trajectory,
+        smoothed=None,
+        ground_truth=sequence.ground_truth,
+        frames={},
+        config={},
+        info={"status": "finished", "sequence": sequence.name, "mode": name, "frames": len(sequence)},
+        relatives=None,
+    )
+
+
+def external_row(name: str, file: str, sequence: Sequence, align: Alignment) -> tuple[Row, Run | None]:
+    """The row of a trajectory file, with the reason where it cannot be compared, and the trajectory."""
+    labels = {"sequence": sequence.name, "mode": name, "preset": EXTERNAL, "variant": ""}
+    try:
+        run = external_run(name, file, sequence)
+        found = numbers(evaluation_of(run, None, align))
+    except FvslamError as error:
+        return labels | {"status": f"failed: {error}"}, None
+    row = labels | {"status": "finished", "frames": len(sequence), "coverage": run.coverage} | found
+    return row, run
+
+
+def _at_frames(frames: NDArray[np.int64], trajectory: Trajectory, sequence: Sequence, path: Path) -> Trajectory:
+    """With the stamps of these frames of the sequence."""
+    if frames.min() < 0 or frames.max() >= len(sequence) or len(np.unique(frames)) < len(frames):
+        raise TrajectoryError(
+            f"{path} does not belong to the {len(sequence)} frames of {sequence.name}: its poses are for frames "
+            f"{frames.min()} to {frames.max()}; use the stamps of the recording, and all its frames"
+        )
+    return Trajectory(sequence.stamps[frames], trajectory.poses)
+
+
+def _split(file: str) -> tuple[Path, float | None]:
+    path, _, period = file.rpartition("@")
+    try:
+        return Path(path).expanduser(), float(period)
+    except ValueError:
+        return Path(file).expanduser(), None

@@ -1,0 +1,244 @@
+"""One run of a study: what it depends on, where it is kept, and the row of numbers that comes out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
+
+import fvslam_graph
+from fvslam_graph.config import Config
+from fvslam_graph.errors import FvslamError
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.metrics import Evaluation, evaluate
+from fvslam_graph.evaluation.runs import evaluate_run
+from fvslam_graph.files import write_json
+from fvslam_graph.pipeline import applicable, estimate, facts
+from fvslam_graph.provenance import forget_peak_memory, provenance
+from fvslam_graph.results import Run
+from fvslam_graph.run_folder import RunWriter, read_run
+from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.trajectory import Status
+
+KEPT_PIXELS = 5e8  # of rendered images, a byte each
+
+Row = dict[str, Any]
+"""One run as numbers and words, by column; see `row_of`."""
+
+
+class Source(BaseModel):
+    """A recording or a synthetic world, as `open_sequence` takes it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    path: str
+    name: str | None = None  # in tables; the sequence's own, if not given
+    frames: str | None = None
+    stride: PositiveInt = 1
+    scale: float = Field(1.0, gt=0, le=1)
+    camera_height: PositiveFloat | None = None
+    camera_pitch: float | None = None
+
+    @property
+    def label(self) -> str:
+        """The name in tables, also where the recording cannot be opened."""
+        return self.name or (self.path if self.path.startswith("synthetic:") else Path(self.path).name)
+
+    def open(self) -> Sequence:
+        """The sequence; raises as `open_sequence` does."""
+        options = self.model_dump(exclude={"name"})
+        if not self.path.startswith("synthetic:"):
+            options["path"] = str(Path(self.path).expanduser().absolute())
+        return replace(open_sequence(**options), name=self.label)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run.
+
+    Attributes:
+        source: What it runs on.
+        config: All settings, the mode and the seed among them.
+        variant: What sets it apart from other runs of the same mode, in words; "" where nothing does.
+    """
+
+    source: Source
+    config: Config
+    variant: str = ""
+
+    def folder(self, runs: Path) -> Path:
+        """Where it is kept below `runs`: the name ends with a hash of input, settings and version.
+
+        Raises:
+            FvslamError: The source cannot be opened.
+        """
+        depends_on = [_fingerprint(self.source), _code(), self.config.model_dump_json()]
+        digest = hashlib.blake2b(json.dumps(depends_on).encode(), digest_size=8).hexdigest()
+        words = f"{self.source.label}-{self.config.mode}-{self.config.preset}-{self.variant}-{self.config.seed}"
+        return runs / f"{re.sub(r'[^a-zA-Z0-9.]+', '-', words)}-{digest}"
+
+    def labels(self) -> Row:
+        """The columns that say which run a row is."""
+        return {
+            "sequence": self.source.label,
+            "mode": self.config.mode.value,
+            "preset": self.config.preset,
+            "variant": self.variant,
+            "seed": self.config.seed,
+        }
+
+
+def execute(job: Job, folder: Path, align: Alignment) -> Row:
+    """Run, unless the folder holds the finished run, and evaluate; the row is kept in the folder, too.
+
+    Raises:
+        FvslamError: The source cannot be opened or the folder not written.
+    """
+    if (row := kept(folder, align)) is not None:
+        return row
+    if not _finished(folder):
+        sequence = _opened(job.source)
+        config = applicable(job.config, sequence)
+        forget_peak_memory()
+        source = job.source.model_dump(exclude={"name"})
+        with RunWriter(folder, config, {**facts(sequence, config), "source": source}, sequence.ground_truth) as writer:
+            for result in estimate(sequence, config):
+                writer.add(result)
+    run = read_run(folder)
+    evaluation = evaluate_run(folder, align=align) if run.ground_truth is not None else None
+    row = job.labels() | row_of(run, evaluation) | {"folder": folder.name}
+    write_json(_row_file(folder, align), row)
+    return row
+
+
+def kept(folder: Path, align: Alignment) -> Row | None:
+    """The row of a run that was done and evaluated before; None where it was not."""
+    try:
+        row = json.loads(_row_file(folder, align).read_text())
+    except (OSError, ValueError):
+        return None
+    # JSON has no word for what is not a number.
+    return {key: np.nan if value is None else value for key, value in row.items()}
+
+
+def row_of(run: Run, evaluation: Evaluation | None) -> Row:
+    """What tables say of a run.
+
+    Errors are those of the online trajectory after alignment: `ape` (m), `ape_rot` (deg), `rpe` from frame to frame (m)
+    and `rpe_1m` over a metre, all RMSE; `ape_smoothed` (m); drift `t_rel` (%) and `r_rel` (deg/100 m) without scale
+    correction, `t_rel_scaled` with it; `nees` of the relative motions. `matched` is how many landmarks V-SLAM finds in
+    an image, `ms` the mean time of a frame without reading it, `peak_mb` the memory of the process. NaN stands for
+    what the recording cannot tell.
+    """
+    status, times = run.frames["status"], [run.frames[name] for name in run.frames if name.endswith("_ms")]
+    milliseconds = np.sum(times, axis=0) - run.frames["read_ms"]
+    matched = run.frames.get("matched", np.array(np.nan))
+    row: Row = {
+        "status": run.info["status"],
+        "frames": run.info["frames"],
+        "scale_source": run.info["scale_source"],
+        "coverage": run.coverage,
+        "tracked": float(np.isin(status, (Status.TRACKED, Status.STATIC)).mean()),
+        "matched": float(np.nanmean(matched)) if np.isfinite(matched).any() else np.nan,
+        "ms": float(milliseconds.mean()),
+        "ms_p95": float(np.percentile(milliseconds, 95)),
+        "peak_mb": run.info.get("totals", {}).get("peak_memory_mb", np.nan),
+    }
+    if evaluation is None:
+        return row | dict.fromkeys(METRICS, np.nan)
+    smoothed = run.smoothed and evaluate(run.smoothed, evaluation.association.reference, evaluation.alignment)
+    return row | numbers(evaluation) | {"ape_smoothed": _rmse(smoothed, "ape_trans") if smoothed else np.nan}
+
+
+def numbers(evaluation: Evaluation) -> dict[str, float]:
+    """The numbers of an evaluation that tables show; see `row_of`."""
+    nees = evaluation.consistency
+    return {
+        "ape": _rmse(evaluation, "ape_trans"),
+        "ape_rot": _rmse(evaluation, "ape_rot"),
+        "rpe": _rmse(evaluation, "rpe_trans"),
+        "rpe_1m": _rmse(evaluation, "rpe_1m_trans"),
+        "t_rel": evaluation.drift.t_rel,
+        "t_rel_scaled": evaluation.drift_scaled.t_rel,
+        "r_rel": evaluation.drift.r_rel,
+        "scale": evaluation.scale,
+        "nees": np.nan if nees is None else nees.mean,
+        "path": evaluation.association.reference.path_length,
+        "associated": len(evaluation.association.indices),
+    }
+
+
+METRICS = (
+    "ape",
+    "ape_rot",
+    "rpe",
+    "rpe_1m",
+    "t_rel",
+    "t_rel_scaled",
+    "r_rel",
+    "scale",
+    "nees",
+    "path",
+    "associated",
+    "ape_smoothed",
+)
+
+
+def _rmse(evaluation: Evaluation, name: str) -> float:
+    return float(evaluation.errors[name].stats["rmse"]) if name in evaluation.errors else np.nan
+
+
+def _row_file(folder: Path, align: Alignment) -> Path:
+    return folder / f"row_{align}.json"
+
+
+def _finished(folder: Path) -> bool:
+    try:
+        return read_run(folder).info.get("status") == "finished"
+    except FvslamError:  # none yet, or damaged since: it is done again
+        return False
+
+
+@lru_cache(maxsize=1)  # jobs come sequence by sequence
+def _opened(source: Source) -> Sequence:
+    sequence = source.open()
+    pixels = len(sequence) * sequence.camera.width * sequence.camera.height
+    if source.path.startswith("synthetic:") and pixels <= KEPT_PIXELS:  # rendering one takes longer than using it
+        return replace(sequence, load=[sequence.load(index) for index in range(len(sequence))].__getitem__)
+    return sequence
+
+
+@cache
+def _fingerprint(source: Source) -> list[Any]:
+    """What the numbers depend on in a recording: what is known of it, and size and time of each file."""
+    sequence = source.open()
+    truth = sequence.ground_truth
+    known = [sequence.stamps, sequence.camera, sequence.ground and sequence.ground.heights, sequence.ground]
+    known += [] if truth is None else [truth.stamps, truth.matrices]
+    digest = hashlib.blake2b(digest_size=16)
+    for fact in known:
+        digest.update(fact.tobytes() if isinstance(fact, np.ndarray) else repr(fact).encode())
+    path = Path(source.path).expanduser()
+    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path][: path.is_file()]
+    for file in files:
+        stat = file.stat()
+        digest.update(f"{file.relative_to(path)} {stat.st_size} {stat.st_mtime_ns}\n".encode())
+    return [source.model_dump(exclude={"name"}), digest.hexdigest()]
+
+
+@cache
+def _code() -> list[Any]:
+    """The version of everything that computes: libraries by their number, this package by its source."""
+    root = Path(fvslam_graph.__file__).parent
+    digest = hashlib.blake2b(digest_size=16)
+    for file in sorted(root.rglob("*.py")):
+        digest.update(file.read_bytes())
+    return [digest.hexdigest(), provenance()["versions"]]

@@ -1,0 +1,128 @@
+"""The outcome of a study: one tidy table of all runs, and its summaries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.files import replacing, writing
+from fvslam_graph.study.job import METRICS, Row
+
+LABELS = ("sequence", "mode", "preset", "variant")
+RESULTS = (*LABELS, "seed", "status", "scale_source", "frames", "coverage", "tracked", "matched", *METRICS, "folder")
+EXTERNAL = "external"
+"""The preset of other people's systems."""
+COSTS = ("ms", "ms_p95", "peak_mb")
+_WORDS = (*LABELS, "status", "scale_source", "folder")
+_COUNTS = ("seed", "frames")
+
+_SUMMARY = {  # column of the table: its name, digits, factor
+    "ape": ("APE (m)", ".3f", 1.0),
+    "rpe": ("RPE (m)", ".4f", 1.0),
+    "t_rel": ("t_rel (%)", ".2f", 1.0),
+    "r_rel": ("r_rel (deg/100 m)", ".3f", 1.0),
+    "nees": ("NEES", ".1f", 1.0),
+    "coverage": ("coverage (%)", ".1f", 100.0),
+    "associated": ("matched", ".0f", 1.0),
+    "ms": ("ms/frame", ".1f", 1.0),
+    "peak_mb": ("peak MB", ".0f", 1.0),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """All runs of a study, in the order in which they were declared.
+
+    Attributes:
+        table: One row a run. The columns RESULTS depend on input, settings and version alone; COSTS were measured. See
+            `fvslam_graph.study.job.row_of`.
+        align: How estimates were brought into the world of the ground truth.
+    """
+
+    table: pd.DataFrame
+    align: Alignment
+
+    @classmethod
+    def of(cls, rows: Iterable[Row], align: Alignment) -> Outcome:
+        """From rows as they come."""
+        table = pd.DataFrame(list(rows)).reindex(columns=[*RESULTS, *COSTS])
+        numbers = [column for column in table if column not in (*_WORDS, *_COUNTS)]
+        types = dict.fromkeys(_COUNTS, "Int64") | dict.fromkeys(numbers, "float64")
+        table[list(_WORDS)] = table[list(_WORDS)].fillna("").astype(str)
+        return cls(table.astype(types), align)
+
+    @property
+    def finished(self) -> pd.DataFrame:
+        """The runs that came to their end."""
+        return self.table[self.table["status"] == "finished"]
+
+    @property
+    def caption(self) -> str:
+        """What a reader has to know of the numbers."""
+        sources = " / ".join(sorted(set(self.finished["scale_source"]) - {""}))
+        return (
+            f"{' / '.join(self.table['sequence'].unique())}. Online trajectories, {self.align} alignment, scale from "
+            f"{sources or 'nothing'}. Median, and range over the seeds in brackets. APE and RPE (frame to "
+            "frame): RMSE of translation. t_rel and r_rel: KITTI's, 100-800 m, without scale correction. matched: poses with ground truth. ms/frame: mean without "
+            "reading images."
+        )
+
+    def groups(self) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
+        """Runs that differ in nothing but the seed, with what they have in common."""
+        for labels, group in self.table.groupby(list(LABELS), sort=False):
+            yield dict(zip(LABELS, labels, strict=True)), group
+
+    def summary(self) -> Table:
+        """One row for each sequence, mode, preset and variant: median and range over the seeds."""
+        own = self.table[self.table["preset"] != EXTERNAL]
+        shown = [label for label in LABELS if label == "mode" or own[label].nunique() > 1]
+        rows = []
+        for labels, group in self.groups():
+            finished = group[group["status"] == "finished"]
+            runs = f"{len(finished)}/{len(group)}"
+            cells = [spread(finished[key] * factor, digits) for key, (_, digits, factor) in _SUMMARY.items()]
+            rows.append([*(labels[label] for label in shown), *_common(finished["scale_source"]), runs, *cells])
+        columns = (*shown, "scale", "runs", *(name for name, _, _ in _SUMMARY.values()))
+        return Table(columns, rows, len(shown) + 2, self.caption)
+
+    def failures(self) -> Table:
+        """The runs that did not come to their end, and why."""
+        failed = self.table[self.table["status"] != "finished"]
+        columns = [*LABELS, "seed", "status"]
+        return Table(columns, failed[columns].astype(str).to_numpy().tolist(), len(columns))
+
+    def write(self, folder: Path) -> None:
+        """Write results.csv, results.parquet (columns RESULTS), costs.csv, summary.md and summary.tex.
+
+        Raises:
+            ResultsError: The folder cannot be written.
+        """
+        results, costs = self.table[list(RESULTS)], self.table[[*LABELS, "seed", *COSTS]]
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, table in (("results", results), ("costs", costs)):
+                with replacing(folder / f"{name}.csv") as path:
+                    table.to_csv(path, index=False)
+            with replacing(folder / "results.parquet") as path:
+                results.to_parquet(path, index=False)
+            (folder / "summary.md").write_text(self.summary().markdown())
+            (folder / "summary.tex").write_text(self.summary().latex())
+
+
+def spread(values: Iterable[float], style: str = ".3f") -> str:
+    """Median, and the range in brackets where it shows in the digits; "-" without values."""
+    known = np.array([value for value in values if np.isfinite(value)])
+    if not len(known):
+        return "-"
+    median, low, high = (f"{value:{style}}" for value in (np.median(known), known.min(), known.max()))
+    return median if low == high else f"{median} ({low}-{high})"
+
+
+def _common(values: pd.Series) -> tuple[str]:
+    return ("/".join(sorted(set(values) - {""})) or "-",)
