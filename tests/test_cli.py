@@ -12,7 +12,7 @@ import yaml
 from fvslam_graph import pipeline
 from fvslam_graph.run_folder import read_run
 
-COMMANDS = ("run", "evaluate", "plot", "info", "demo")
+COMMANDS = ("run", "evaluate", "plot", "compare", "study", "info", "demo")
 HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib"}
 
 
@@ -230,3 +230,55 @@ def test_an_unknown_mode(fvslam, drive, tmp_path):
     outcome = fvslam("run", drive, "--mode", "slam", "--out", tmp_path / "run")
     assert outcome.code == 1
     assert "'mode' cannot be 'slam'" in outcome.err and "'vo'" in outcome.err
+
+
+def test_compare(fvslam, drive, tmp_path):
+    command = (
+        "compare",
+        drive,
+        "--modes",
+        "vo,average",
+        "--seeds",
+        1,
+        "--set",
+        "features.count=200",
+        "--out",
+        tmp_path,
+    )
+    outcome = fvslam(*command, "--external", f"other={drive / 'groundtruth.tum'}")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert all(word in outcome.out for word in (" vo ", " average ", " other ", "sim3 alignment", "fewer than 5 seeds"))
+    assert outcome.out.endswith(f"report: {tmp_path / 'report.html'}\n")
+    begun = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("runs/*/frames.csv")}
+    assert fvslam(*command).code == 0
+    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("runs/*/frames.csv")} == begun
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (("--modes", "vo,fast"), "'modes.1' cannot be 'fast'"),
+        (("--external", "orb.tum"), "--external takes NAME=FILE, not 'orb.tum'"),
+        (("--set", "vo.inliers=3"), "there is no setting 'vo.inliers'; the nearest is 'vo.min_inliers'"),
+        (("--set", "vo.inliers"), "--set takes group.name=value"),
+        (("--align", "sim"), "'align' cannot be 'sim'"),
+    ],
+)
+def test_a_wrong_comparison_is_one_sentence(fvslam, drive, tmp_path, options, complaint):
+    outcome = fvslam("compare", drive, "--out", tmp_path / "out", *options)
+    assert (outcome.code, outcome.out) == (1, "")
+    assert complaint in outcome.err and outcome.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_study(fvslam, drive, tmp_path):
+    file = tmp_path / "short.yaml"
+    file.write_text(f"sequences: [{drive}, absent]\nmodes: [vo]\nseeds: 1\n")
+    outcome = fvslam("study", file, "--out", tmp_path / "out")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "1/1" in outcome.out and "0/1" in outcome.out and "absent does not exist" in outcome.out
+    assert len(list((tmp_path / "out" / "runs").iterdir())) == 1
+
+    file.write_text("sequences: [absent]\nmodes: [vo]\nseeds: 1\n")
+    outcome = fvslam("study", file, "--out", tmp_path / "out")
+    assert (outcome.code, outcome.err) == (1, "fvslam: no run came to its end; the table says why\n")

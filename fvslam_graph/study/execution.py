@@ -17,6 +17,7 @@ from fvslam_graph.study.job import Job, Row, execute, kept
 # Instead of dask's own, with which every large array is fetched from the system anew: rendering takes five
 # times as long.
 WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+PATIENCE = "20s"  # with a scheduler that may not be there
 
 
 def execute_all(
@@ -77,7 +78,7 @@ def _distributed(
             client = stack.enter_context(Client(cluster))
         else:
             try:
-                client = stack.enter_context(Client(scheduler, timeout="20s"))
+                client = stack.enter_context(Client(scheduler, timeout=PATIENCE))
             except OSError:
                 raise StudyError(
                     f"no dask scheduler answers at {scheduler}; start one, or leave the address out"

@@ -35,6 +35,11 @@ def external_run(name: str, file: str, sequence: Sequence) -> Run:
     if period is not None:
         trajectory = _at_frames(np.rint(trajectory.stamps / period).astype(int), trajectory, sequence, path)
     elif has_no_stamps(path):
+        if len(trajectory) != len(sequence):
+            raise TrajectoryError(
+                f"{path} has no stamps, so it must have a pose for each of the {len(sequence)} frames of "
+                f"{sequence.name}, not {len(trajectory)}; use a TUM file, which has stamps"
+            )
         trajectory = _at_frames(np.arange(len(trajectory)), trajectory, sequence, path)
     return Run(
         name=name,

@@ -57,7 +57,7 @@ def _panels(outcome: Outcome, height: float) -> tuple[Figure, Iterator[tuple[Axe
     sequences = known["sequence"].unique()
     columns = min(COLUMNS, len(sequences))
     rows = -(-len(sequences) // columns)
-    figure = Figure(figsize=(3.2 * columns + 1, height * rows + 0.5), layout="constrained")
+    figure = Figure(figsize=(max(6.5, 3.2 * columns + 1), height * rows + 0.5), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for spare in panels[len(sequences) :]:
         spare.remove()
@@ -81,7 +81,7 @@ def _accuracy(outcome: Outcome) -> Figure:
             axes.plot(group["ape"], [row] * len(group), ".", color=colour, alpha=0.5)
             axes.plot(group["ape"].median(), row, "|", color=colour, markersize=14, markeredgewidth=2)
         axes.set(title=sequence, xlabel="APE (m)", yticks=range(len(labels)), yticklabels=labels)
-        axes.set_xlim(left=0)
+        axes.set_xlim(0, 1.05 * runs["ape"].max())
         axes.invert_yaxis()
     figure.suptitle(
         f"online trajectories, {outcome.align} alignment; one dot a seed, a bar for the median", fontsize=10
@@ -111,7 +111,7 @@ def _differences(found: Sequence[Difference]) -> Figure:
     pairs = list(dict.fromkeys((difference.a, difference.b) for difference in shown))
     columns = min(COLUMNS, len(sequences))
     rows = -(-len(sequences) // columns)
-    figure = Figure(figsize=(3.2 * columns + 1, (1 + 0.25 * len(pairs)) * rows + 0.5), layout="constrained")
+    figure = Figure(figsize=(max(6.5, 3.2 * columns + 1), (1 + 0.25 * len(pairs)) * rows + 0.5), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
     for spare in panels[len(sequences) :]:
         spare.remove()
@@ -124,7 +124,7 @@ def _differences(found: Sequence[Difference]) -> Figure:
                     axes.plot([difference.low, difference.high], [row, row], color=colour, linewidth=2)
                 axes.plot(difference.ratio, row, "o", color=colour, markersize=5)
         axes.axvline(1, color="black", linewidth=0.8)
-        axes.set(title=sequence, xlabel=f"ratio of {COMPARED['ape']}", xscale="log")
+        axes.set(title=sequence, xlabel=f"ratio of {COMPARED['ape']}")
         axes.set(yticks=range(len(pairs)), yticklabels=[f"{a} / {b}" for a, b in pairs])
     panels[0].invert_yaxis()
     figure.suptitle("below 1: the first is better; grey: not significant", fontsize=10)

@@ -54,7 +54,7 @@ class Outcome:
         table = pd.DataFrame(list(rows)).reindex(columns=[*RESULTS, *COSTS])
         numbers = [column for column in table if column not in (*_WORDS, *_COUNTS)]
         types = dict.fromkeys(_COUNTS, "Int64") | dict.fromkeys(numbers, "float64")
-        table[list(_WORDS)] = table[list(_WORDS)].fillna("").astype(str)
+        table[list(_WORDS)] = table[list(_WORDS)].astype(object).fillna("").astype(str)
         return cls(table.astype(types), align)
 
     @property
@@ -68,9 +68,9 @@ class Outcome:
         sources = " / ".join(sorted(set(self.finished["scale_source"]) - {""}))
         return (
             f"{' / '.join(self.table['sequence'].unique())}. Online trajectories, {self.align} alignment, scale from "
-            f"{sources or 'nothing'}. Median, and range over the seeds in brackets. APE and RPE (frame to "
-            "frame): RMSE of translation. t_rel and r_rel: KITTI's, 100-800 m, without scale correction. matched: poses with ground truth. ms/frame: mean without "
-            "reading images."
+            f"{sources or 'nothing'}. Median, and range over the seeds in brackets. APE and RPE (frame to frame): RMSE "
+            "of translation. t_rel and r_rel: KITTI's, 100-800 m, without scale correction. matched: poses with ground "
+            "truth. ms/frame: mean without reading images."
         )
 
     def groups(self) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:

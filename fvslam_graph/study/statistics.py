@@ -20,11 +20,11 @@ ENOUGH = 5  # values that tell something about their spread
 ALL = "all sequences"
 COMPARED = {"ape": "APE", "rpe": "RPE"}
 CAPTION = (
-    "Ratio of the errors of two modes on the same sequence with the same seed and settings: geometric mean over the "
-    "pairs and its 95 % bootstrap interval (percentiles). 'all sequences' resamples the seeds within each sequence and "
-    "weighs sequences alike: it holds for these sequences, not for others. An interval from five seeds is too narrow "
-    "(it holds in five cases of six, not in 19 of 20), and of twenty comparisons without a difference one looks "
-    "significant."
+    "Ratio of the errors of two modes on the same sequence with the same seed and settings: geometric mean and its "
+    "95 % bootstrap interval (percentiles). On one sequence it is over the seeds, and tells chance in the estimator; "
+    "over all sequences each counts once, with the mean of its seeds, and it tells chance in the sequences, too. An "
+    "interval from five values is too narrow (it holds in five cases of six, not in 19 of 20), and of twenty "
+    "comparisons without a difference one looks significant."
 )
 
 
@@ -38,7 +38,7 @@ class Difference:
         a, b: The modes.
         ratio: Geometric mean of a / b; below 1, a is better.
         low, high: Its interval; NaN where there are too few pairs for one.
-        pairs: How many runs of each.
+        pairs: How many ratios: seeds, or sequences.
     """
 
     metric: str
@@ -73,36 +73,20 @@ def _of_metric(own: pd.DataFrame, metric: str, seed: int) -> Iterator[Difference
     for a, b in combinations([mode for mode in own["mode"].unique() if mode in paired], 2):
         pairs = (paired[a] - paired[b]).dropna()
         by_sequence = {name: group.to_numpy() for name, group in pairs.groupby("sequence", sort=False)}
-        for name, ratios in by_sequence.items():
-            yield _difference(metric, str(name), a, b, [ratios], seed)
         if len(by_sequence) > 1:
-            yield _difference(metric, ALL, a, b, list(by_sequence.values()), seed)
+            by_sequence[ALL] = np.array([ratios.mean() for ratios in by_sequence.values()])
+        for name, ratios in by_sequence.items():
+            ratio, low, high = (float(np.exp(value)) for value in (ratios.mean(), *interval(ratios, seed)))
+            yield Difference(metric, str(name), a, b, ratio, low, high, len(ratios))
 
 
-def _difference(
-    metric: str, sequence: str, a: str, b: str, samples: list[NDArray[np.float64]], seed: int
-) -> Difference:
-    """From log ratios, one array for each sequence."""
-    mean = float(np.mean([sample.mean() for sample in samples]))
-    low, high = interval(samples, seed)
-    pairs = sum(len(sample) for sample in samples)
-    return Difference(metric, sequence, a, b, float(np.exp(mean)), float(np.exp(low)), float(np.exp(high)), pairs)
-
-
-def interval(samples: Sequence[NDArray[np.float64]], seed: int) -> tuple[float, float]:
-    """Bootstrap interval of the mean of the samples' means, each sample (n,) resampled on its own.
-
-    NaN where a sample is too small to tell anything about its spread.
-    """
-    if min(map(len, samples)) < ENOUGH:
+def interval(values: NDArray[np.float64], seed: int) -> tuple[float, float]:
+    """Bootstrap interval of the mean of values (n,); NaN where they are too few to tell anything about their spread."""
+    if len(values) < ENOUGH:
         return np.nan, np.nan
-
-    def mean_of_means(*resampled: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-        return np.asarray(np.mean([sample.mean(axis=axis) for sample in resampled], axis=0))
-
     found = bootstrap(
-        samples,
-        mean_of_means,
+        (values,),
+        np.mean,
         n_resamples=RESAMPLES,
         confidence_level=CONFIDENCE,
         method="percentile",
@@ -135,7 +119,8 @@ def verdicts(found: Sequence[Difference]) -> list[str]:
         here = [difference for difference in found if (difference.metric, difference.sequence) == (metric, sequence)]
         unclear = ", ".join(f"{difference.a} and {difference.b}" for difference in here if not difference.significant)
         if any(np.isnan(difference.low) for difference in here):
-            said = f"fewer than {ENOUGH} seeds, too few to tell a difference from chance"
+            what = "sequences" if sequence == ALL else "seeds"
+            said = f"fewer than {ENOUGH} {what}, too few to tell a difference from chance"
         else:
             said = "; ".join((*_better(here), f"not significant: {unclear}" if unclear else "all are significant"))
         sentences.append(f"{COMPARED[metric]} on {sequence}: {said}.")

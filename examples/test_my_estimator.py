@@ -1,0 +1,30 @@
+"""Test an estimator of your own against worlds whose ground truth is exact: `pytest examples/test_my_estimator.py`."""
+
+import cv2
+import gtsam
+import numpy as np
+
+from fvslam_graph.testing import assert_ape_below
+from fvslam_graph.trajectory import Trajectory
+
+pytest_plugins = ["fvslam_graph.testing"]  # brings `uav_sequence` and `drive_sequence`
+
+
+def optical_mouse(sequence):
+    """Odometry of a downward camera that never turns: the shift of the image, times height over focal length."""
+    pose, poses, previous = gtsam.Pose3(), [], None
+    for frame in sequence:
+        image = frame.image.astype(np.float32)
+        if previous is not None:
+            (u, v), _ = cv2.phaseCorrelate(previous, image, cv2.createHanningWindow(image.shape[::-1], cv2.CV_32F))
+            shift = -frame.height / sequence.camera.fx * np.array([u, v, 0.0])
+            pose = pose * gtsam.Pose3(gtsam.Rot3(), shift)
+        poses.append(pose)
+        previous = image
+    return Trajectory(sequence.stamps, tuple(poses))
+
+
+def test_it_is_right_within_a_tenth_of_the_path(uav_sequence):
+    truth = uav_sequence.ground_truth
+    evaluation = assert_ape_below(optical_mouse(uav_sequence), 0.1 * truth.path_length, truth)
+    print(f"APE {evaluation.errors['ape_trans'].stats['rmse']:.2f} m on {truth.path_length:.0f} m")

@@ -1,0 +1,71 @@
+"""For pytest: worlds with exact ground truth and an assertion, so that any estimator can be tested against them.
+
+Say `pytest_plugins = ["fvslam_graph.testing"]` in a conftest.py, and tests can ask for `uav_sequence` (a downward
+camera over terrain, 640x480) and `drive_sequence` (a camera on a road between facades, 621x188).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from fvslam_graph.api import evaluate
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.metrics import Evaluation
+from fvslam_graph.results import Run
+from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.sequences.synthetic import synthetic_sequence
+from fvslam_graph.trajectory import Trajectory
+
+
+def rendered(world: str, **options: Any) -> Sequence:
+    """A synthetic world with all its images in memory; world and options as for `synthetic_sequence`."""
+    sequence = synthetic_sequence(world, **options)
+    images = [sequence.load(index) for index in range(len(sequence))]
+    return replace(sequence, load=images.__getitem__)
+
+
+@pytest.fixture(scope="session")
+def uav_sequence() -> Sequence:
+    """40 frames of a small UAV above terrain, 49 m."""
+    return rendered("uav", frames=40)
+
+
+@pytest.fixture(scope="session")
+def drive_sequence() -> Sequence:
+    """40 frames of a car on a road, 40 m."""
+    return rendered("drive", frames=40, size="621x188")
+
+
+def assert_ape_below(
+    estimated: Run | Trajectory,
+    limit: float,
+    reference: Trajectory | None = None,
+    align: str = "se3",
+    coverage: float = 1.0,
+) -> Evaluation:
+    """Assert that the absolute pose error is small enough, for as many frames as there should be.
+
+    Args:
+        estimated: A run, which knows its ground truth, or a trajectory.
+        limit: Metres, RMSE of the translation after alignment.
+        reference: Ground truth, for a trajectory.
+        align: "none", "origin", "se3" or "sim3".
+        coverage: Least share of the poses of the ground truth that the estimate has.
+
+    Returns:
+        All the other errors.
+
+    Raises:
+        AssertionError: Says what was measured.
+    """
+    __tracebackhide__ = True
+    evaluation = evaluate(estimated, reference, Alignment(align))
+    truth = reference or (estimated.ground_truth if isinstance(estimated, Run) else None)
+    poses, frames = len(evaluation.association.indices), len(truth) if truth else 0
+    assert poses >= coverage * frames, f"{poses} of {frames} frames have a pose, fewer than {100 * coverage:g} %"
+    error = evaluation.errors["ape_trans"].stats["rmse"]
+    assert error < limit, f"APE {error:.4g} m (RMSE, {align} alignment) is not below {limit:g} m"
+    return evaluation

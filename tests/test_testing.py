@@ -1,0 +1,35 @@
+"""What users get for their own tests."""
+
+import pytest
+
+import fvslam_graph
+from fvslam_graph.testing import assert_ape_below
+from fvslam_graph.trajectory import Trajectory
+
+pytest_plugins = ["fvslam_graph.testing"]
+
+
+def test_the_worlds(uav_sequence, drive_sequence):
+    for sequence, length in ((uav_sequence, 49), (drive_sequence, 40)):
+        assert len(sequence) == len(sequence.ground_truth) == 40
+        assert sequence.ground_truth.path_length == pytest.approx(length, abs=3)
+        assert all(frame.image.shape == (sequence.camera.height, sequence.camera.width) for frame in sequence)
+
+
+def test_an_estimate_that_is_good_enough(uav_sequence):
+    run = fvslam_graph.run(uav_sequence)
+    evaluation = assert_ape_below(run, 0.1)
+    error = evaluation.errors["ape_trans"].stats["rmse"]
+    assert 0.001 < error < 0.1
+    assert_ape_below(run.online, 1.01 * error, uav_sequence.ground_truth)
+
+
+def test_an_estimate_that_is_not(uav_sequence):
+    truth = uav_sequence.ground_truth
+    still = Trajectory(truth.stamps, (truth.poses[0],) * len(truth))
+    with pytest.raises(AssertionError, match=r"APE 28\.\d+ m \(RMSE, se3 alignment\) is not below 1 m"):
+        assert_ape_below(still, 1, truth)
+    half = Trajectory(truth.stamps[:20], truth.poses[:20])
+    with pytest.raises(AssertionError, match="20 of 40 frames have a pose, fewer than 100 %"):
+        assert_ape_below(half, 1, truth)
+    assert_ape_below(half, 1e-6, truth, coverage=0.5)
