@@ -4,10 +4,8 @@ import cv2
 import gtsam
 import numpy as np
 
-from fvslam_graph.testing import assert_ape_below
+from fvslam_graph.testing import assert_ape_below, rendered
 from fvslam_graph.trajectory import Trajectory
-
-pytest_plugins = ["fvslam_graph.testing"]  # brings `uav_sequence` and `drive_sequence`
 
 
 def optical_mouse(sequence):
@@ -24,7 +22,8 @@ def optical_mouse(sequence):
     return Trajectory(sequence.stamps, tuple(poses))
 
 
-def test_it_is_right_within_a_tenth_of_the_path(uav_sequence):
-    truth = uav_sequence.ground_truth
-    evaluation = assert_ape_below(optical_mouse(uav_sequence), 0.1 * truth.path_length, truth)
+def test_it_is_right_within_a_tenth_of_the_path():
+    flight = rendered("uav", frames=40, seed=2)
+    truth = flight.ground_truth
+    evaluation = assert_ape_below(optical_mouse(flight), 0.1 * truth.path_length, truth)
     print(f"APE {evaluation.errors['ape_trans'].stats['rmse']:.2f} m on {truth.path_length:.0f} m")

@@ -12,6 +12,8 @@ import pytest
 from fvslam_graph.cli import main
 from fvslam_graph.sequences.synthetic import synthetic_sequence
 
+pytest_plugins = ["fvslam_graph.testing"]
+
 ROOT = Path(__file__).parents[1]
 
 

@@ -6,8 +6,6 @@ import fvslam_graph
 from fvslam_graph.testing import assert_ape_below
 from fvslam_graph.trajectory import Trajectory
 
-pytest_plugins = ["fvslam_graph.testing"]
-
 
 def test_the_worlds(uav_sequence, drive_sequence):
     for sequence, length in ((uav_sequence, 49), (drive_sequence, 40)):
