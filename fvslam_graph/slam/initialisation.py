@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.features.known_points import KnownPoints
-from fvslam_graph.slam.landmarks import INVERSE, Array, angles
-from fvslam_graph.slam.state import SCALE, State, symmetric
+from fvslam_graph.slam.covariances import extended, selected
+from fvslam_graph.slam.landmarks import Array, angles
+from fvslam_graph.slam.state import FIXED, PART, SCALE, State
 
 NEIGHBOURHOOD = 0.1  # of the image's width: landmarks this near to a pixel tell most about its depth
 
@@ -52,7 +53,7 @@ def depths_from_map(state: State, pixels: Array, camera: Camera, spread: float) 
         camera: Undistorted.
         spread: Standard deviation of the logarithm.
     """
-    front, logs, jacobians = state.log_distances()
+    front, logs, jacobian = state.log_distances()
     if not front.any():
         return None
     apart = pixels[:, None] - camera.project(np.where(front[:, None], state.positions, (0.0, 0.0, 1.0)))
@@ -60,11 +61,7 @@ def depths_from_map(state: State, pixels: Array, camera: Camera, spread: float) 
     weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
     weight /= weight.sum(axis=1, keepdims=True)
     inverse = np.exp(-weight @ logs)
-    by_state = np.zeros((len(pixels), len(state.covariance)))
-    for jacobian, columns, part in zip(
-        jacobians, state.columns, np.split(weight, [len(state.inverse)], axis=1), strict=True
-    ):
-        by_state[:, columns[:, 6:]] = -inverse[:, None, None] * part[:, :, None] * jacobian
+    by_state = -inverse[:, None] * (weight @ jacobian)
     return DepthPrior(inverse, np.diag((spread * inverse) ** 2), by_state)
 
 
@@ -77,7 +74,7 @@ def equal_depths(count: int, distance: float, spread: float, size: int) -> Depth
 def with_new_landmarks(
     state: State, ids: NDArray[np.int64], pixels: Array, prior: DepthPrior, camera: Camera, sigma: float
 ) -> State:
-    """The state with landmarks in inverse depth, anchored at the present camera, where their anchor is exact.
+    """The state with landmarks in inverse depth, whose common anchor is the present camera, and exact.
 
     Args:
         state: As seen from the present camera.
@@ -90,31 +87,26 @@ def with_new_landmarks(
     rays = np.column_stack([camera.normalize(pixels), np.ones(len(pixels))])
     pointing, by_ray = angles(rays)
     by_pixel = by_ray[:, :, :2] / (camera.fx, camera.fy)
-    new = np.column_stack([np.zeros((len(ids), 3)), pointing, prior.inverse])
+    # Only the inverse distances depend on what is in the state. The anchor comes first, and is certain.
+    cross = np.zeros((1 + len(ids), PART, len(state.covariance)))
+    cross[1:, 2] = prior.by_state @ state.covariance
+    own = np.zeros((1 + len(ids), PART) * 2)
+    each = np.arange(1, 1 + len(ids))
+    own[each, :2, each, :2] = sigma**2 * by_pixel @ by_pixel.mT
+    own[1:, 2, 1:, 2] = prior.covariance + cross[1:, 2] @ prior.by_state.T
+    size = cross.shape[0] * PART
+    covariance = extended(state.covariance, cross.reshape(size, -1), own.reshape(size, size))
 
-    # Only the inverse distances depend on what is in the state.
-    cross = np.zeros((len(ids), INVERSE, len(state.covariance)))
-    cross[:, 5] = prior.by_state @ state.covariance
-    own = np.zeros((len(ids), INVERSE, len(ids), INVERSE))
-    each = np.arange(len(ids))
-    own[each, 3:5, each, 3:5] = sigma**2 * by_pixel @ by_pixel.mT
-    own[:, 5, :, 5] = prior.covariance + cross[:, 5] @ prior.by_state.T
-
-    # Points come after all landmarks in inverse depth.
-    begin, old = len(state.covariance) - state.points.size, state.covariance
-    new_rows = slice(begin, begin + new.size)
-    old_rows = np.concatenate([np.arange(begin), np.arange(begin + new.size, len(old) + new.size)])
-    covariance = np.empty((len(old) + new.size,) * 2)
-    for rows, there in ((slice(None, begin), slice(None, begin)), (slice(begin, None), slice(new_rows.stop, None))):
-        covariance[there, :begin] = old[rows, :begin]
-        covariance[there, new_rows.stop :] = old[rows, begin:]
-    covariance[new_rows, old_rows] = cross.reshape(new.size, len(old))
-    covariance[old_rows, new_rows] = cross.reshape(new.size, len(old)).T
-    covariance[new_rows, new_rows] = symmetric(own.reshape(new.size, new.size))
-    split = len(state.inverse)
+    # All anchors come first, then all rays, then all points.
+    anchors, rays, points = state.parts
+    new = len(state.covariance) + np.arange(size)
+    order = np.concatenate([np.arange(FIXED), anchors.ravel(), new[:PART], rays.ravel(), new[PART:], points.ravel()])
+    split = len(state.rays)
     return replace(
         state,
-        inverse=np.vstack([state.inverse, new]),
+        anchors=np.vstack([state.anchors, np.zeros(3)]),
+        rays=np.vstack([state.rays, np.column_stack([pointing, prior.inverse])]),
+        anchor_of=np.concatenate([state.anchor_of, np.full(len(ids), len(state.anchors))]),
         ids=np.concatenate([state.ids[:split], ids, state.ids[split:]]),
-        covariance=covariance,
+        covariance=selected(covariance, order),
     )

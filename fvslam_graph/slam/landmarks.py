@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-INVERSE = 6  # numbers of a landmark in inverse depth
-POINT = 3  # numbers of a landmark that is a point
 _LEAST_INVERSE_DEPTH = 1e-9  # 1/m, beyond which distances are not computed
 
 
@@ -42,7 +40,7 @@ def angles(vectors: Array) -> tuple[Array, Array]:
 def scaled_points(inverse: Array) -> tuple[Array, Array]:
     """Landmarks (M, 6) as points times their inverse depth, (M, 3), which exist at infinity too; Jacobian (M, 3, 6)."""
     unit, by_angles = direction(inverse[:, 3], inverse[:, 4])
-    jacobian = np.zeros((len(inverse), 3, INVERSE))
+    jacobian = np.zeros((len(inverse), 3, 6))
     jacobian[:, :, :3] = inverse[:, 5, None, None] * np.eye(3)
     jacobian[:, :, 3:5] = by_angles
     jacobian[:, :, 5] = inverse[:, :3]
@@ -53,36 +51,49 @@ def to_points(inverse: Array) -> tuple[Array, Array]:
     """Landmarks (M, 6) as points (M, 3), metres, and their Jacobian (M, 3, 6); at infinity they are far away."""
     unit, by_angles = direction(inverse[:, 3], inverse[:, 4])
     depth = 1 / np.maximum(inverse[:, 5], _LEAST_INVERSE_DEPTH)
-    jacobian = np.zeros((len(inverse), 3, INVERSE))
+    jacobian = np.zeros((len(inverse), 3, 6))
     jacobian[:, :, :3] = np.eye(3)
     jacobian[:, :, 3:5] = depth[:, None, None] * by_angles
     jacobian[:, :, 5] = -(depth**2)[:, None] * unit
     return inverse[:, :3] + depth[:, None] * unit, jacobian
 
 
-def seen_from(inverse: Array, rotation: Array, translation: Array) -> tuple[Array, Array, Array]:
-    """Landmarks (M, 6) in a camera that moved.
+def points_seen_from(points: Array, rotation: Array, translation: Array) -> tuple[Array, Array, Array]:
+    """Points or anchors (N, 3) in a camera that moved.
 
     Args:
-        inverse: (M, 6) in the previous camera.
+        points: (N, 3) in the previous camera, metres.
         rotation, translation: (3, 3) and (3,) of prev_T_cur.
 
     Returns:
-        (M, 6) in the current camera, its Jacobians by the right perturbation of prev_T_cur (M, 6, 6) and by `inverse`
-        (M, 6, 6).
+        (N, 3) in the current camera, its Jacobians by the right perturbation of prev_T_cur (N, 3, 6) and by `points`
+        (N, 3, 3).
     """
-    unit, by_angles = direction(inverse[:, 3], inverse[:, 4])
-    anchor, ray = (inverse[:, :3] - translation) @ rotation, unit @ rotation
-    pointing, by_ray = angles(ray)
-    by_motion = np.zeros((len(inverse), INVERSE, 6))
-    by_motion[:, :3, :3] = hat(anchor)
-    by_motion[:, :3, 3:] = -np.eye(3)
-    by_motion[:, 3:5, :3] = by_ray @ hat(ray)
-    by_landmark = np.zeros((len(inverse), INVERSE, INVERSE))
-    by_landmark[:, :3, :3] = rotation.T
-    by_landmark[:, 3:5, 3:5] = by_ray @ rotation.T @ by_angles
-    by_landmark[:, 5, 5] = 1.0
-    return np.column_stack([anchor, pointing, inverse[:, 5]]), by_motion, by_landmark
+    seen = (points - translation) @ rotation
+    by_motion = np.zeros((len(points), 3, 6))
+    by_motion[:, :, :3], by_motion[:, :, 3:] = hat(seen), -np.eye(3)
+    return seen, by_motion, np.broadcast_to(rotation.T, (len(points), 3, 3))
+
+
+def rays_seen_from(rays: Array, rotation: Array) -> tuple[Array, Array, Array]:
+    """Azimuths, elevations and inverse depths (M, 3) in a camera that moved; only its rotation matters.
+
+    Args:
+        rays: (M, 3) in the previous camera.
+        rotation: (3, 3) of prev_T_cur.
+
+    Returns:
+        (M, 3) in the current camera, its Jacobians by the right perturbation of prev_T_cur (M, 3, 6) and by `rays`
+        (M, 3, 3).
+    """
+    unit, by_angles = direction(rays[:, 0], rays[:, 1])
+    seen = unit @ rotation
+    pointing, by_seen = angles(seen)
+    by_motion, by_rays = np.zeros((len(rays), 3, 6)), np.zeros((len(rays), 3, 3))
+    by_motion[:, :2, :3] = by_seen @ hat(seen)
+    by_rays[:, :2, :2] = by_seen @ rotation.T @ by_angles
+    by_rays[:, 2, 2] = 1.0
+    return np.column_stack([pointing, rays[:, 2]]), by_motion, by_rays
 
 
 def linearity_index(inverse: Array, sigma: Array) -> Array:

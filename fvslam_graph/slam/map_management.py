@@ -63,9 +63,9 @@ class MapManager:
         mine = self.records.of(state.ids)
         rare = (mine.expected >= TRIALS) & (mine.measured < MIN_SUCCESS * mine.expected)
         state = state.without(rare | ~in_view)
-        inverse, _ = state.landmark_covariances()
-        index = linearity_index(state.inverse, np.sqrt(inverse[:, 5, 5]))
-        return state.with_points((index < LINEARITY) & (state.inverse[:, 5] > 0))
+        _, rays, _ = state.parts
+        index = linearity_index(state.inverse, np.sqrt(np.diagonal(state.covariance)[rays[:, 2]]))
+        return state.with_points((index < LINEARITY) & (state.rays[:, 2] > 0))
 
     def grown(self, state: State, frame: Frame, points: KnownPoints | None, map_T_camera: gtsam.Pose3) -> State:
         """With as many landmarks that begin at this frame, away from those that exist, as the next frame may lack.

@@ -10,9 +10,10 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
+from fvslam_graph.slam.covariances import sparse_rows, symmetric
 from fvslam_graph.slam.landmarks import Array, hat, scaled_points
 from fvslam_graph.slam.motion import travelled
-from fvslam_graph.slam.state import State, sparse_rows, symmetric
+from fvslam_graph.slam.state import State
 
 GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom, as a pixel has
 MAX_ITERATIONS = 10

@@ -9,8 +9,9 @@ import numpy as np
 
 from fvslam_graph.config import SlamSettings
 from fvslam_graph.estimates import GaussianPose
-from fvslam_graph.slam.landmarks import Array, hat, seen_from
-from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State, sparse_rows, symmetric, transformed
+from fvslam_graph.slam.covariances import sparse_rows, symmetric, transformed
+from fvslam_graph.slam.landmarks import Array, points_seen_from, rays_seen_from
+from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State
 
 LENGTH_SIGMA = 0.1  # of the logarithm of a length whose errors are alike for long
 
@@ -61,29 +62,26 @@ def compose(state: State, seconds: float) -> State:
     """The state as seen from the camera after its step: pose, landmarks and all covariances move along."""
     prev_T_cur, by_velocity = travelled(state.velocity, seconds)
     rotation, translation = prev_T_cur.rotation().matrix(), prev_T_cur.translation()
-    inverse, inverse_by_motion, inverse_by_inverse = seen_from(state.inverse, rotation, translation)
-    points = (state.points - translation) @ rotation
-    points_by_motion = np.concatenate([hat(points), np.broadcast_to(-np.eye(3), (len(points), 3, 3))], axis=2)
-    points_by_points = np.broadcast_to(rotation.T, (len(points), 3, 3))
+    anchors, *anchors_by = points_seen_from(state.anchors, rotation, translation)
+    rays, *rays_by = rays_seen_from(state.rays, rotation)
+    points, *points_by = points_seen_from(state.points, rotation, translation)
 
-    inverse_columns, point_columns = state.columns
     fixed = np.arange(FIXED)[None]
     by_scale = np.concatenate([np.zeros(3), translation @ rotation])[:, None]
-    change = sparse_rows(
-        [
-            (np.hstack([prev_T_cur.inverse().AdjointMap(), by_scale, by_velocity])[None], fixed),
-            (np.eye(FIXED)[None, SCALE:], fixed),
-            (np.concatenate([inverse_by_motion @ by_velocity, inverse_by_inverse], axis=2), inverse_columns),
-            (np.concatenate([points_by_motion @ by_velocity, points_by_points], axis=2), point_columns),
-        ],
-        width=len(state.covariance),
-    )
+    change = [
+        (np.hstack([prev_T_cur.inverse().AdjointMap(), by_scale, by_velocity])[None], fixed),
+        (np.eye(FIXED)[None, SCALE:], fixed),
+    ]
+    for (by_motion, by_part), rows in zip((anchors_by, rays_by, points_by), state.parts, strict=True):
+        columns = np.hstack([np.broadcast_to(fixed[:, VELOCITY], (len(rows), 6)), rows])
+        change.append((np.concatenate([by_motion @ by_velocity, by_part], axis=2), columns))
     return replace(
         state,
         world_T_camera=state.world_T_camera.compose(prev_T_cur),
-        inverse=inverse,
+        anchors=anchors,
+        rays=rays,
         points=points,
-        covariance=transformed(state.covariance, change),
+        covariance=transformed(state.covariance, sparse_rows(change, len(state.covariance))),
     )
 
 

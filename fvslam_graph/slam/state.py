@@ -14,10 +14,12 @@ import scipy.linalg
 import scipy.sparse
 from numpy.typing import NDArray
 
-from fvslam_graph.slam.landmarks import INVERSE, POINT, Array, to_points
+from fvslam_graph.slam.covariances import extended, selected, sparse_rows
+from fvslam_graph.slam.landmarks import Array, to_points
 
 POSE, SCALE, VELOCITY, FIXED = slice(0, 6), 6, slice(7, 13), 13  # rows of the error state before the landmarks
-_GROWTH = np.array([1, 1, 1, 0, 0, -1])  # of a landmark in inverse depth, with the scale
+PART = 3  # numbers of an anchor, of a ray and of a point, in the error state
+_GROWTH = np.array([0, 0, -1])  # of a ray, with the scale
 LEAST_LOG_VARIANCE = 1e-6  # of a log distance, so that no landmark stands for the whole map
 SLACK = 1e-9  # of the largest eigenvalue, that rounding may take from a positive semi-definite matrix
 
@@ -29,8 +31,8 @@ class State:
     Source: Castellanos, Martinez-Cantin, Tardos, Neira, "Robocentric map joining", RAS 55(1), 2007.
 
     The error state is the right perturbation of the pose (6), the logarithm of the scale (1), the error of the velocity
-    (6) and those of the landmarks: first all in inverse depth (6 each), then all points (3 each). The pose's error is
-    thus one of the world as seen from the camera.
+    (6) and those of the anchors, the rays and the points (3 each). The pose's error is thus one of the world as seen
+    from the camera. Landmarks in inverse depth that began in the same frame have their anchor in common.
 
     Velocity and landmarks are known up to a scale, which images tell nothing about. It has a row of its own, whose
     Jacobian in every image measurement is zero, wherever that is linearised. Were it hidden in the other rows, each
@@ -39,7 +41,9 @@ class State:
     Attributes:
         world_T_camera: Camera pose, metres.
         velocity: (6,) mean twist of the last step in the camera: rotation (rad/s), translation (m/s).
-        inverse: (M, 6) landmarks in inverse depth, see `landmarks`.
+        anchors: (A, 3) camera centres from which landmarks in inverse depth were first seen, in the camera, metres.
+        rays: (M, 3) azimuth, elevation and inverse depth of these landmarks from there, see `landmarks`.
+        anchor_of: (M,) the row of each one's anchor.
         points: (L, 3) landmarks as points in the camera, metres.
         ids: (M + L,) of all landmarks, in the order of the state.
         covariance: (n, n) of the error state, symmetric positive semi-definite.
@@ -47,7 +51,9 @@ class State:
 
     world_T_camera: gtsam.Pose3
     velocity: Array
-    inverse: Array
+    anchors: Array
+    rays: Array
+    anchor_of: NDArray[np.intp]
     points: Array
     ids: NDArray[np.int64]
     covariance: Array
@@ -63,25 +69,30 @@ class State:
     def at(cls, world_T_camera: gtsam.Pose3, covariance: Array) -> Self:
         """A camera with an empty map and no velocity, at a pose with covariance (6, 6)."""
         whole = scipy.linalg.block_diag(covariance, np.zeros((FIXED - 6, FIXED - 6)))
-        none = np.empty(0, np.int64)
-        return cls(world_T_camera, np.zeros(6), np.empty((0, INVERSE)), np.empty((0, POINT)), none, whole)
+        none = np.empty((0, PART))
+        ids, rows = np.empty(0, np.int64), np.empty(0, np.intp)
+        return cls(world_T_camera, np.zeros(6), none, none, rows, none, ids, whole)
 
     @cached_property
-    def offsets(self) -> NDArray[np.intp]:
-        """(M + L,) row of the error state at which each landmark begins."""
-        begin = FIXED + INVERSE * len(self.inverse)
-        return np.concatenate(
-            [FIXED + INVERSE * np.arange(len(self.inverse)), begin + POINT * np.arange(len(self.points))]
-        ).astype(np.intp)
+    def inverse(self) -> Array:
+        """(M, 6) landmarks in inverse depth, each with its anchor."""
+        return np.hstack([self.anchors[self.anchor_of], self.rays])
+
+    @cached_property
+    def parts(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Rows of the error state of the anchors (A, 3), the rays (M, 3) and the points (L, 3)."""
+        rows = np.arange(FIXED, len(self.covariance)).reshape(-1, PART)
+        anchors, rays, points = np.split(rows, [len(self.anchors), len(self.anchors) + len(self.rays)])
+        return anchors, rays, points
 
     @cached_property
     def columns(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """What the view of each landmark depends on, the velocity and itself: columns (M, 12) and (L, 9)."""
-        split, offsets = len(self.inverse), self.offsets
-        first, second = (
-            np.hstack([np.tile(np.arange(FIXED)[VELOCITY], (len(begin), 1)), begin[:, None] + np.arange(size)])
-            for begin, size in ((offsets[:split], INVERSE), (offsets[split:], POINT))
-        )
+        anchors, rays, points = self.parts
+        velocity = np.arange(FIXED)[VELOCITY]
+        first, second = np.empty((len(rays), 12), np.intp), np.empty((len(points), 9), np.intp)
+        first[:, :6], first[:, 6:9], first[:, 9:] = velocity, anchors[self.anchor_of], rays
+        second[:, :6], second[:, 6:] = velocity, points
         return first, second
 
     @cached_property
@@ -99,35 +110,30 @@ class State:
         groups = []
         for point, by_landmark, columns in (
             (points, by_inverse, self.columns[0]),
-            (self.points, np.broadcast_to(np.eye(POINT), (len(self.points), POINT, POINT)), self.columns[1]),
+            (self.points, np.broadcast_to(np.eye(3), (len(self.points), 3, 3)), self.columns[1]),
         ):
             jacobian = np.concatenate([point[:, :, None], by_landmark], axis=2)
             rows = np.hstack([np.full((len(point), 1), SCALE), columns[:, 6:]])
             groups.append(jacobian @ self.covariance[rows[:, :, None], rows[:, None, :]] @ jacobian.mT)
         return np.concatenate(groups)
 
-    def landmark_covariances(self) -> tuple[Array, Array]:
-        """Those of the landmarks in inverse depth (M, 6, 6) and of the points (L, 3, 3)."""
-        first, second = (columns[:, 6:] for columns in self.columns)
-        covariance = self.covariance
-        return covariance[first[:, :, None], first[:, None, :]], covariance[second[:, :, None], second[:, None, :]]
-
     @property
     def by_scale(self) -> Array:
         """(n,) how velocity and landmarks grow with the logarithm of their scale; zero for the pose."""
-        inverse = self.inverse * _GROWTH
-        velocity = self.velocity * (0, 0, 0, 1, 1, 1)
-        return np.concatenate([np.zeros(7), velocity, inverse.ravel(), self.points.ravel()])
+        velocity, rays = self.velocity * (0, 0, 0, 1, 1, 1), self.rays * _GROWTH
+        return np.concatenate([np.zeros(7), velocity, self.anchors.ravel(), rays.ravel(), self.points.ravel()])
 
     def moved(self, error: Array) -> State:
         """The state changed by an error state (n,); the covariance stays."""
-        split, growth = FIXED + self.inverse.size, np.exp(error[SCALE])
+        growth = np.exp(error[SCALE])
+        anchors, rays, points = (error[rows] for rows in self.parts)
         return replace(
             self,
             world_T_camera=self.world_T_camera.retract(error[POSE]),
             velocity=(self.velocity + error[VELOCITY]) * np.repeat([1.0, growth], 3),
-            inverse=(self.inverse + error[FIXED:split].reshape(-1, INVERSE)) * growth**_GROWTH,
-            points=(self.points + error[split:].reshape(-1, POINT)) * growth,
+            anchors=(self.anchors + anchors) * growth,
+            rays=(self.rays + rays) * growth**_GROWTH,
+            points=(self.points + points) * growth,
         )
 
     def with_scale_apart(self) -> State:
@@ -153,63 +159,54 @@ class State:
         """The state without the landmarks that are marked, (M + L,)."""
         if not dropped.any():
             return self
-        split, kept = len(self.inverse), ~dropped
-        sizes = np.repeat((INVERSE, POINT), (split, len(self.points)))
-        rows = np.concatenate([np.ones(FIXED, bool), np.repeat(kept, sizes)])
+        rays, points = np.split(~dropped, [len(self.rays)])
+        used = np.zeros(len(self.anchors), bool)
+        used[self.anchor_of[rays]] = True
+        rows = np.concatenate([np.ones(FIXED, bool), np.repeat(np.concatenate([used, rays, points]), PART)])
         return replace(
             self,
-            inverse=self.inverse[kept[:split]],
-            points=self.points[kept[split:]],
-            ids=self.ids[kept],
-            covariance=self.covariance[np.ix_(rows, rows)],
+            anchors=self.anchors[used],
+            rays=self.rays[rays],
+            anchor_of=(np.cumsum(used) - 1)[self.anchor_of[rays]],
+            points=self.points[points],
+            ids=self.ids[~dropped],
+            covariance=selected(self.covariance, rows),
         )
 
     def with_points(self, chosen: NDArray[np.bool_]) -> State:
         """The state in which the marked landmarks, (M,) of those in inverse depth, are points; they move to the end."""
         if not chosen.any():
             return self
-        split = len(self.inverse)
-        points, jacobian = to_points(self.inverse[chosen])
-        columns = self.columns[0][chosen, 6:]
-        stay = np.setdiff1d(np.arange(len(self.covariance)), columns.ravel())
-        change = sparse_rows(
-            [(np.ones((len(stay), 1, 1)), stay[:, None]), (jacobian, columns)], width=len(self.covariance)
-        )
-        return replace(
+        points, by_landmark = to_points(self.inverse[chosen])
+        jacobian = sparse_rows([(by_landmark, self.columns[0][chosen, 6:])], len(self.covariance))
+        cross = jacobian @ self.covariance
+        grown = replace(
             self,
-            inverse=self.inverse[~chosen],
             points=np.vstack([self.points, points]),
-            ids=np.concatenate([self.ids[:split][~chosen], self.ids[split:], self.ids[:split][chosen]]),
-            covariance=transformed(self.covariance, change),
+            ids=np.concatenate([self.ids, self.ids[: len(chosen)][chosen]]),
+            covariance=extended(self.covariance, cross, jacobian @ cross.T),
         )
+        return grown.without(np.concatenate([chosen, np.zeros(len(self.points) + len(points), bool)]))
 
-    def log_distances(self) -> tuple[NDArray[np.bool_], Array, tuple[Array, Array]]:
-        """Of landmarks in front of the camera: which (N,) these are, all log distances (N,) and their Jacobians.
-
-        The Jacobians are by the landmarks themselves, (M, 6) and (L, 3).
-        """
-        points, split = self.positions, len(self.inverse)
+    def log_distances(self) -> tuple[NDArray[np.bool_], Array, scipy.sparse.csr_array]:
+        """Which landmarks are in front of the camera (N,), all log distances (N,) and their Jacobian (N, n)."""
+        points, split = self.positions, len(self.rays)
         front = points[:, 2] > 0
-        front[:split] &= self.inverse[:, 5] > 0
+        front[:split] &= self.rays[:, 2] > 0
         square = np.maximum((points**2).sum(axis=1), 1e-18)
-        by_point = points / square[:, None]
-        by_inverse = np.einsum("ni,nij->nj", by_point[:split], self._inverse_as_points[1])
-        return front, 0.5 * np.log(square), (by_inverse, by_point[split:])
+        by_point = (points / square[:, None])[:, None]
+        by_inverse = by_point[:split] @ self._inverse_as_points[1]
+        blocks = [(by_inverse, self.columns[0][:, 6:]), (by_point[split:], self.columns[1][:, 6:])]
+        return front, 0.5 * np.log(square), sparse_rows(blocks, len(self.covariance))
 
     def _mean_log_distance(self) -> Array | None:
         """(n,) Jacobian of the mean log distance, in which the certain ones weigh most; None without landmarks."""
-        front, _, jacobians = self.log_distances()
+        front, _, jacobian = self.log_distances()
         if not front.any():
             return None
-        variances = [
-            np.einsum("ni,nij,nj->n", jacobian, covariance, jacobian)
-            for jacobian, covariance in zip(jacobians, self.landmark_covariances(), strict=True)
-        ]
-        weight = front / (np.concatenate(variances) + LEAST_LOG_VARIANCE)
-        weight /= weight.sum()
-        mean = np.zeros(len(self.covariance))
-        for jacobian, columns, part in zip(jacobians, self.columns, np.split(weight, [len(self.inverse)]), strict=True):
-            mean[columns[:, 6:]] = part[:, None] * jacobian
+        variances = jacobian.multiply(jacobian @ self.covariance).sum(axis=1)
+        weight = front / (variances + LEAST_LOG_VARIANCE)
+        mean: Array = (weight / weight.sum()) @ jacobian
         return mean
 
     def check(self) -> None:
@@ -221,30 +218,3 @@ class State:
         sigma = np.where(sigma > 0, sigma, 1.0)
         values = np.linalg.eigvalsh(self.covariance / np.outer(sigma, sigma))
         assert values[0] >= -SLACK * values[-1], f"the covariance has the eigenvalue {values[0]:g} of {values[-1]:g}"
-
-
-def sparse_rows(blocks: list[tuple[Array, NDArray[np.intp]]], width: int) -> scipy.sparse.csr_array:
-    """A sparse matrix from dense blocks, one below the other.
-
-    Args:
-        blocks: (N, r, c) values and (N, c) their columns, the same for the r rows of a block.
-        width: Of the matrix.
-    """
-    columns = [np.repeat(where, block.shape[1], axis=0).ravel() for block, where in blocks]
-    lengths = [np.full(block.shape[0] * block.shape[1], block.shape[2]) for block, _ in blocks]
-    starts = np.concatenate([[0], np.cumsum(np.concatenate(lengths))])
-    data = np.concatenate([block.ravel() for block, _ in blocks])
-    return scipy.sparse.csr_array((data, np.concatenate(columns), starts), shape=(len(starts) - 1, width))
-
-
-def transformed(covariance: Array, jacobian: scipy.sparse.csr_array) -> Array:
-    """J P J^T, exactly symmetric."""
-    return symmetric(jacobian @ cv2.transpose(jacobian @ covariance))
-
-
-def symmetric(matrix: Array) -> Array:
-    """The symmetric part of a matrix; OpenCV transposes large ones in blocks, several times faster than NumPy."""
-    mean: Array = cv2.transpose(matrix)
-    mean += matrix
-    mean *= 0.5
-    return mean

@@ -15,6 +15,7 @@ from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.patches import MARGIN
 from fvslam_graph.sequences.base import Frame
+from fvslam_graph.slam.covariances import keep_memory
 from fvslam_graph.slam.estimate import Landmarks, Outcome, Searched, SlamEstimate
 from fvslam_graph.slam.finder import LandmarkFinder, Search
 from fvslam_graph.slam.landmarks import Array
@@ -63,6 +64,7 @@ class VSlam:
         self.settings = settings
         self.finder = finder
         self._rng = rng
+        keep_memory()
         self._map = MapManager(camera, settings, finder)
         self._stopwatch = Stopwatch()
         self._state: State | None = None

@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
+from fvslam_graph.slam.covariances import symmetric
 from fvslam_graph.slam.initialisation import equal_depths, with_new_landmarks
-from fvslam_graph.slam.state import State, symmetric
+from fvslam_graph.slam.state import State
 
 Array = NDArray[np.float64]
 
@@ -33,13 +34,14 @@ def random_state(camera: Camera) -> Callable[..., State]:
         rng = np.random.default_rng(seed)
         state = State.at(gtsam.Pose3.Expmap(rng.standard_normal(6)), np.zeros((6, 6)))
         pixels = rng.uniform((40, 40), (600, 440), (inverse + points, 2))
-        prior = equal_depths(inverse + points, 5.0, 0.1, len(state.covariance))
-        state = with_new_landmarks(state, np.arange(inverse + points), pixels, prior, camera, 0.5)
-        spread = state.inverse.copy()
-        spread[:, :3] = 0.3 * rng.standard_normal((len(spread), 3))
-        spread[:, 5] = rng.uniform(0.05, 0.4, len(spread))
+        # Three anchors, of which some landmarks have one in common and some have one alone.
+        for few in (slice(0, 1), slice(1, inverse - 2), slice(inverse - 2, inverse + points)):
+            prior = equal_depths(len(pixels[few]), 5.0, 0.1, len(state.covariance))
+            state = with_new_landmarks(state, np.arange(inverse + points)[few], pixels[few], prior, camera, 0.5)
+        rays = state.rays.copy()
+        rays[:, 2] = rng.uniform(0.05, 0.4, len(rays))
         velocity = np.concatenate([0.5 * rng.standard_normal(3), 2 * rng.standard_normal(3)])
-        state = replace(state, inverse=spread, velocity=velocity)
+        state = replace(state, anchors=0.3 * rng.standard_normal((3, 3)), rays=rays, velocity=velocity)
         state = state.with_points(np.arange(inverse + points) >= inverse)
         return replace(state, covariance=random_covariance(rng, len(state.covariance), sigma))
 
@@ -53,7 +55,8 @@ def difference(before: State, after: State) -> Array:
             before.world_T_camera.localCoordinates(after.world_T_camera),
             [0.0],
             after.velocity - before.velocity,
-            (after.inverse - before.inverse).ravel(),
+            (after.anchors - before.anchors).ravel(),
+            (after.rays - before.rays).ravel(),
             (after.points - before.points).ravel(),
         ]
     )

@@ -9,8 +9,9 @@ from fvslam_graph.slam.landmarks import (
     direction,
     hat,
     linearity_index,
+    points_seen_from,
+    rays_seen_from,
     scaled_points,
-    seen_from,
     to_points,
 )
 
@@ -73,21 +74,31 @@ def test_points_at_infinity_are_directions():
 @pytest.mark.parametrize("seed", SEEDS)
 def test_derivatives_of_a_step(seed):
     landmark, step = some(seed, 1), gtsam.Pose3.Expmap(0.5 * np.random.default_rng(seed).standard_normal(6))
+    point, ray = landmark[:, :3], landmark[:, 3:]
 
-    def moved(by_motion: np.ndarray, by_landmark: np.ndarray) -> np.ndarray:
+    def points(by_motion: np.ndarray, by_point: np.ndarray) -> np.ndarray:
         pose = step.retract(by_motion)
-        return seen_from(landmark + by_landmark, pose.rotation().matrix(), pose.translation())[0][0]
+        return points_seen_from(point + by_point, pose.rotation().matrix(), pose.translation())[0][0]
 
-    _, by_motion, by_landmark = seen_from(landmark, step.rotation().matrix(), step.translation())
-    assert agrees(by_motion[0], numeric(lambda e: moved(e, np.zeros(6)), 6))
-    assert agrees(by_landmark[0], numeric(lambda e: moved(np.zeros(6), e), 6))
+    def rays(by_motion: np.ndarray, by_ray: np.ndarray) -> np.ndarray:
+        return rays_seen_from(ray + by_ray, step.retract(by_motion).rotation().matrix())[0][0]
+
+    rotation = step.rotation().matrix()
+    for moved, (_, by_motion, by_part) in (
+        (points, points_seen_from(point, rotation, step.translation())),
+        (rays, rays_seen_from(ray, rotation)),
+    ):
+        assert agrees(by_motion[0], numeric(lambda e, moved=moved: moved(e, np.zeros(3)), 6))
+        assert agrees(by_part[0], numeric(lambda e, moved=moved: moved(np.zeros(6), e), 3))
 
 
-def test_a_step_moves_points_as_gtsam_does():
+def test_a_step_moves_landmarks_as_gtsam_does():
     landmarks, step = some(3), gtsam.Pose3.Expmap(np.array([0.2, -0.1, 0.3, 1.0, -2.0, 0.5]))
-    moved, _, _ = seen_from(landmarks, step.rotation().matrix(), step.translation())
+    anchors, _, _ = points_seen_from(landmarks[:, :3], step.rotation().matrix(), step.translation())
+    assert anchors == pytest.approx(step.transformTo(landmarks[:, :3].T).T)
+    rays, _, _ = rays_seen_from(landmarks[:, 3:], step.rotation().matrix())
     expected = step.transformTo(to_points(landmarks)[0].T).T
-    assert to_points(moved)[0] == pytest.approx(expected)
+    assert to_points(np.hstack([anchors, rays]))[0] == pytest.approx(expected)
 
 
 def test_linearity_index_by_hand():

@@ -1,5 +1,7 @@
 """Which matches agree."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ def matched(random_state, camera):
         state = random_state(seed, 20, 10, 1e-3)
         covariance = state.covariance.copy()
         covariance[7:13, 7:13] += np.diag(np.repeat([0.2, 1.0], 3) ** 2)
-        state = type(state)(state.world_T_camera, state.velocity, state.inverse, state.points, state.ids, covariance)
+        state = replace(state, covariance=covariance)
         rng = np.random.default_rng(seed)
         error = np.zeros(len(covariance))
         error[7:13] = np.repeat([0.2, 1.0], 3) * rng.standard_normal(6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.slam.motion import last_motion
-from fvslam_graph.slam.state import SCALE, VELOCITY, sparse_rows
+from fvslam_graph.slam.state import SCALE, VELOCITY
 
 from .conftest import agrees, difference, numeric
 
@@ -76,12 +76,16 @@ def test_a_common_error_of_all_distances_becomes_one_of_the_scale(random_state):
     assert np.abs(apart_from_it).max() < 1e-12
 
 
-def test_sparse_rows():
-    blocks = np.arange(12.0).reshape(2, 2, 3)
-    dense = sparse_rows(
-        [(blocks, np.array([[0, 2, 4], [1, 2, 3]])), (np.ones((1, 1, 1)), np.array([[4]]))], 5
-    ).toarray()
-    assert dense.tolist() == [[0, 0, 1, 0, 2], [3, 0, 4, 0, 5], [0, 6, 7, 8, 0], [0, 9, 10, 11, 0], [0, 0, 0, 0, 1]]
+def test_an_anchor_lasts_as_long_as_a_landmark_has_it(random_state):
+    state = random_state(0)
+    assert len(state.anchors) == 3 and state.anchor_of.tolist() == [0, 1, 1, 1, 2, 2]
+    first = np.arange(len(state)) == 0
+    without, turned = state.without(first), state.with_points(first[:6])
+    for left in (without, turned):
+        assert np.array_equal(left.anchors, state.anchors[1:])
+        assert left.anchor_of.tolist() == [0, 0, 0, 1, 1]
+    second = np.arange(len(state)) == 1
+    assert np.array_equal(state.without(second).anchors, state.anchors)
 
 
 def test_check_tells_what_is_wrong(random_state):

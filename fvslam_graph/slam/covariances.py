@@ -1,0 +1,62 @@
+"""What is done to large covariance matrices, of which new memory and transposes cost more than the arithmetic."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from fvslam_graph.slam.landmarks import Array
+
+
+def keep_memory() -> None:
+    """Make glibc keep up to 60 MB that is freed, for the matrices of the next frame.
+
+    By itself it gives large blocks back to the system and asks for them anew, page by page, which takes longer than the
+    arithmetic. It learns from the largest block that was ever freed (mallopt(3), M_MMAP_THRESHOLD); this one is not
+    touched, and thus costs nothing. Other allocators do as they like.
+    """
+    np.empty(30 << 20, np.uint8)
+
+
+def sparse_rows(blocks: list[tuple[Array, NDArray[np.intp]]], width: int) -> scipy.sparse.csr_array:
+    """A sparse matrix from dense blocks, one below the other.
+
+    Args:
+        blocks: (N, r, c) values and (N, c) their columns, the same for the r rows of a block.
+        width: Of the matrix.
+    """
+    columns = [np.repeat(where, block.shape[1], axis=0).ravel() for block, where in blocks]
+    lengths = [np.full(block.shape[0] * block.shape[1], block.shape[2]) for block, _ in blocks]
+    starts = np.concatenate([[0], np.cumsum(np.concatenate(lengths))])
+    data = np.concatenate([block.ravel() for block, _ in blocks])
+    return scipy.sparse.csr_array((data, np.concatenate(columns), starts), shape=(len(starts) - 1, width))
+
+
+def transformed(covariance: Array, jacobian: scipy.sparse.csr_array) -> Array:
+    """J P J^T, exactly symmetric."""
+    return symmetric(jacobian @ cv2.transpose(jacobian @ covariance))
+
+
+def extended(covariance: Array, cross: Array, own: Array) -> Array:
+    """P with new rows and columns at the end, of covariance `own` (k, k), and `cross` (k, n) with what is there."""
+    old = len(covariance)
+    whole = np.empty((old + len(own),) * 2)
+    whole[:old, :old], whole[old:, :old], whole[:old, old:] = covariance, cross, cross.T
+    whole[old:, old:] = symmetric(own)
+    return whole
+
+
+def selected(covariance: Array, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Array:
+    """These rows and columns of P, which is symmetric: rows are taken twice, as they lie together in memory."""
+    chosen: Array = cv2.transpose(covariance[rows])[rows]
+    return chosen
+
+
+def symmetric(matrix: Array) -> Array:
+    """The symmetric part of a matrix; OpenCV transposes large ones in blocks, several times faster than NumPy."""
+    mean: Array = cv2.transpose(matrix)
+    mean += matrix
+    mean *= 0.5
+    return mean
