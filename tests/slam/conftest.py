@@ -34,14 +34,15 @@ def random_state(camera: Camera) -> Callable[..., State]:
         rng = np.random.default_rng(seed)
         state = State.at(gtsam.Pose3.Expmap(rng.standard_normal(6)), np.zeros((6, 6)))
         pixels = rng.uniform((40, 40), (600, 440), (inverse + points, 2))
-        # Three anchors, of which some landmarks have one in common and some have one alone.
-        for few in (slice(0, 1), slice(1, inverse - 2), slice(inverse - 2, inverse + points)):
-            prior = equal_depths(len(pixels[few]), 5.0, 0.1, len(state.covariance))
-            state = with_new_landmarks(state, np.arange(inverse + points)[few], pixels[few], prior, camera, 0.5)
+        # The first has an anchor of its own, then two each have one in common.
+        for few in np.split(np.arange(inverse + points), np.arange(1, inverse + points, 2)):
+            prior = equal_depths(len(few), 5.0, 0.1, len(state.covariance))
+            state = with_new_landmarks(state, few, pixels[few], prior, camera, 0.5)
+        anchors = 0.3 * rng.standard_normal(state.anchors.shape)
         rays = state.rays.copy()
         rays[:, 2] = rng.uniform(0.05, 0.4, len(rays))
         velocity = np.concatenate([0.5 * rng.standard_normal(3), 2 * rng.standard_normal(3)])
-        state = replace(state, anchors=0.3 * rng.standard_normal((3, 3)), rays=rays, velocity=velocity)
+        state = replace(state, anchors=anchors, rays=rays, velocity=velocity)
         state = state.with_points(np.arange(inverse + points) >= inverse)
         return replace(state, covariance=random_covariance(rng, len(state.covariance), sigma))
 

@@ -77,15 +77,14 @@ def test_a_common_error_of_all_distances_becomes_one_of_the_scale(random_state):
 
 
 def test_an_anchor_lasts_as_long_as_a_landmark_has_it(random_state):
-    state = random_state(0)
-    assert len(state.anchors) == 3 and state.anchor_of.tolist() == [0, 1, 1, 1, 2, 2]
-    first = np.arange(len(state)) == 0
-    without, turned = state.without(first), state.with_points(first[:6])
-    for left in (without, turned):
+    state, rows = random_state(0), np.arange(10)
+    assert len(state.anchors) == 4 and state.anchor_of.tolist() == [0, 1, 1, 2, 2, 3]
+    for left in (state.without(rows == 0), state.with_points(rows[:6] == 0)):
         assert np.array_equal(left.anchors, state.anchors[1:])
-        assert left.anchor_of.tolist() == [0, 0, 0, 1, 1]
-    second = np.arange(len(state)) == 1
-    assert np.array_equal(state.without(second).anchors, state.anchors)
+        assert left.anchor_of.tolist() == [0, 0, 1, 1, 2]
+    for left in (state.without(rows == 1), state.with_points(rows[:6] == 1)):
+        assert np.array_equal(left.anchors, state.anchors)
+        assert left.anchor_of.tolist() == [0, 1, 2, 2, 3]
 
 
 def test_check_tells_what_is_wrong(random_state):
