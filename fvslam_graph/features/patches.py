@@ -96,7 +96,9 @@ def search(
     """
     height, width = (side // 2 for side in image.shape)
     halved = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-    templates = patches.reshape(-1, COARSE, 2, COARSE, 2).mean(axis=(2, 4)).astype(np.uint8)
+    size = (COARSE, COARSE * len(patches))
+    templates = cv2.resize(patches.reshape(-1, SIDE), size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+    templates = templates.reshape(-1, COARSE, COARSE)
     middle = np.rint((expected - 0.5) / 2).astype(np.intp)
     extent = np.sqrt(gate * np.diagonal(covariances, axis1=1, axis2=2)) / 2
     reach = np.clip(np.ceil(extent), 1, radius // 2).astype(np.intp)
@@ -114,14 +116,17 @@ def search(
     corner = low - middle + limit  # of the search in the table of distances
     boxes = np.hstack([low, high + 1, corner])[inside_image].tolist()
     for n, (left, top, right, bottom, column, row), (a, b, d) in zip(
-        inside_image, boxes, information.reshape(-1, 4)[inside_image][:, [0, 1, 3]], strict=True
+        inside_image, boxes, information.reshape(-1, 4)[inside_image][:, [0, 1, 3]].tolist(), strict=True
     ):
         window = halved[top - half : bottom + half, left - half : right + half]
         scores = cv2.matchTemplate(window, templates[n], cv2.TM_CCOEFF_NORMED)
-        columns, rows = slice(column, column + right - left), slice(row, row + bottom - top)
-        inside = a * xx[columns] + (2 * b) * xy[rows, columns] + d * yy[rows] <= 1
-        inside |= near[rows, columns]
-        _, correlation[n], _, (x, y) = cv2.minMaxLoc(scores, inside.view(np.uint8))
+        _, correlation[n], _, (x, y) = cv2.minMaxLoc(scores)
+        dx, dy = column + x - limit, row + y - limit
+        if a * dx * dx + 2 * b * dx * dy + d * dy * dy > 1:  # rarely: the best of the box is not in the ellipse
+            columns, rows = slice(column, column + right - left), slice(row, row + bottom - top)
+            inside = a * xx[columns] + (2 * b) * xy[rows, columns] + d * yy[rows] <= 1
+            inside |= near[rows, columns]
+            _, correlation[n], _, (x, y) = cv2.minMaxLoc(scores, inside.view(np.uint8))
         found[n] = 2 * (left + x) + 0.5, 2 * (top + y) + 0.5
     return found, correlation
 
