@@ -16,6 +16,7 @@ COARSE = 11  # pixels, odd side of a patch in the image halved
 SIDE = 2 * COARSE  # pixels, its side in the image itself; its middle lies between pixels
 MARGIN = COARSE + 1  # pixels from the rim of the image within which no patch fits
 _OFFSETS = np.arange(SIDE) - (SIDE - 1) / 2
+_GRID = np.stack(np.meshgrid(_OFFSETS, _OFFSETS)).reshape(2, -1)
 _ITERATIONS = 3  # of the alignment
 _LEAST_TEXTURE = np.float32(1e-4)  # added to what an aligned patch tells, so that a flat one stays where it is
 
@@ -66,8 +67,7 @@ def warp(tiles: NDArray[np.uint8], centres: Array, change: Array) -> tuple[Patch
         centres: (N, 2) where the points are in the tiles, pixels.
         change: (N, 2, 2) from offsets in the present view to offsets in the tile.
     """
-    grid = np.stack(np.meshgrid(_OFFSETS, _OFFSETS)).reshape(2, -1)
-    where = centres[:, :, None] + change @ grid
+    where = centres[:, :, None] + change @ _GRID
     within = np.all((where >= 0) & (where <= tiles.shape[1] - 1), axis=(1, 2))
     where = np.where(within[:, None, None], where, 0.0)
     where[:, 1] += tiles.shape[1] * np.arange(len(tiles))[:, None]
@@ -105,27 +105,20 @@ def search(
     half = COARSE // 2
     low = np.maximum(middle - reach, half)
     high = np.minimum(middle + reach, (width - 1 - half, height - 1 - half))
-    # Squared distances from the middle of an ellipse, of which each search takes its part.
-    limit = radius // 2
-    across = np.arange(-limit, limit + 1, dtype=np.float32)
-    xx, xy, yy = across**2, across[:, None] * across, across[:, None] ** 2
-    near = (xx <= 1) & (yy <= 1)  # these count, however small the ellipse is
-    information = (4 * np.linalg.inv(covariances) / gate).astype(np.float32)
+    information = 4 * np.linalg.inv(covariances) / gate
     found, correlation = expected.copy(), np.full(len(patches), -1.0)
     inside_image = np.flatnonzero((low <= high).all(axis=1))
-    corner = low - middle + limit  # of the search in the table of distances
-    boxes = np.hstack([low, high + 1, corner])[inside_image].tolist()
-    for n, (left, top, right, bottom, column, row), (a, b, d) in zip(
-        inside_image, boxes, information.reshape(-1, 4)[inside_image][:, [0, 1, 3]].tolist(), strict=True
-    ):
+    boxes = np.hstack([low, high + 1, middle])[inside_image].tolist()
+    ellipses = information.reshape(-1, 4)[inside_image][:, [0, 1, 3]].tolist()
+    for n, (left, top, right, bottom, column, row), (a, b, d) in zip(inside_image, boxes, ellipses, strict=True):
         window = halved[top - half : bottom + half, left - half : right + half]
         scores = cv2.matchTemplate(window, templates[n], cv2.TM_CCOEFF_NORMED)
         _, correlation[n], _, (x, y) = cv2.minMaxLoc(scores)
-        dx, dy = column + x - limit, row + y - limit
-        if a * dx * dx + 2 * b * dx * dy + d * dy * dy > 1:  # rarely: the best of the box is not in the ellipse
-            columns, rows = slice(column, column + right - left), slice(row, row + bottom - top)
-            inside = a * xx[columns] + (2 * b) * xy[rows, columns] + d * yy[rows] <= 1
-            inside |= near[rows, columns]
+        dx, dy = left + x - column, top + y - row
+        if a * dx**2 + 2 * b * dx * dy + d * dy**2 > 1:  # rarely: the best of the box is not in the ellipse
+            xx, yy = np.arange(left, right) - column, np.arange(top, bottom)[:, None] - row
+            inside = a * xx**2 + 2 * b * xx * yy + d * yy**2 <= 1
+            inside |= (np.abs(xx) <= 1) & (np.abs(yy) <= 1)  # these count, however small the ellipse is
             _, correlation[n], _, (x, y) = cv2.minMaxLoc(scores, inside.view(np.uint8))
         found[n] = 2 * (left + x) + 0.5, 2 * (top + y) + 0.5
     return found, correlation

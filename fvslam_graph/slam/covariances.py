@@ -39,6 +39,14 @@ def transformed(covariance: Array, jacobian: scipy.sparse.csr_array) -> Array:
     return symmetric(jacobian @ cv2.transpose(jacobian @ covariance))
 
 
+def innovation(jacobian: scipy.sparse.csr_array, covariance: Array, sigma: float) -> tuple[Array, Array]:
+    """H P (k, n), and the innovation covariance H P H^T (k, k), exactly symmetric, with noise of deviation `sigma`."""
+    product = jacobian @ covariance
+    spread = symmetric(jacobian @ cv2.transpose(product))
+    spread[np.diag_indices_from(spread)] += sigma**2
+    return product, spread
+
+
 def extended(covariance: Array, cross: Array, own: Array) -> Array:
     """P with new rows and columns at the end, of covariance `own` (k, k), and `cross` (k, n) with what is there."""
     old = len(covariance)

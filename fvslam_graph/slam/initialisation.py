@@ -61,7 +61,7 @@ def depths_from_map(state: State, pixels: Array, camera: Camera, spread: float) 
     weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
     weight /= weight.sum(axis=1, keepdims=True)
     inverse = np.exp(-weight @ logs)
-    by_state = -inverse[:, None] * (weight @ jacobian)
+    by_state = -inverse[:, None] * (weight @ jacobian.toarray())
     return DepthPrior(inverse, np.diag((spread * inverse) ** 2), by_state)
 
 

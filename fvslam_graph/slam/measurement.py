@@ -10,7 +10,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
-from fvslam_graph.slam.covariances import sparse_rows, symmetric
+from fvslam_graph.slam.covariances import innovation, sparse_rows
 from fvslam_graph.slam.landmarks import Array, hat, scaled_points
 from fvslam_graph.slam.motion import travelled
 from fvslam_graph.slam.state import State
@@ -106,7 +106,7 @@ def update(
 ) -> tuple[State, Prediction]:
     """The iterated EKF update (Bar-Shalom, Li, Kirubarajan 2001, section 10.5.2) with matched landmarks.
 
-    With S = L L^T and Y = L^-1 H P, the covariance becomes P - Y^T Y, which is symmetric to the bit.
+    With S = L L^T (`root`) and Y = L^-1 H P, the covariance becomes P - Y^T Y, which is symmetric to the bit.
 
     Args:
         state: Predicted, or updated with other matches.
@@ -125,19 +125,16 @@ def update(
     origin, error = state, np.zeros(len(state.covariance))
     for _ in range(MAX_ITERATIONS):
         jacobian, expected = prediction.jacobian(chosen), prediction.pixels
-        product = jacobian @ origin.covariance
-        spread = symmetric(jacobian @ product.T) + sigma**2 * np.eye(len(product))
-        innovation = (pixels - expected)[chosen].ravel() + jacobian @ error
-        whitened = scipy.linalg.solve_triangular(
-            np.linalg.cholesky(spread), np.column_stack([product, innovation]), lower=True, check_finite=False
-        )
-        gain, residual = whitened[:, :-1], whitened[:, -1]
-        error = gain.T @ residual
+        product, spread = innovation(jacobian, origin.covariance, sigma)
+        root = np.linalg.cholesky(spread)
+        surprise = (pixels - expected)[chosen].ravel() + jacobian @ error
+        error = product.T @ scipy.linalg.cho_solve((root, True), surprise, check_finite=False)
         state = origin.moved(error)
         prediction = predict_pixels(state, seconds, camera)
-        linear = innovation - jacobian @ error
+        linear = surprise - jacobian @ error
         if np.abs((pixels - prediction.pixels)[chosen].ravel() - linear).max() < CONVERGED * sigma:
             break
+    gain = scipy.linalg.solve_triangular(root, product, lower=True, check_finite=False)
     covariance = gain.T @ gain
     np.subtract(origin.covariance, covariance, out=covariance)  # in place: new memory costs more than the arithmetic
     return replace(state, covariance=covariance), prediction

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
+from fvslam_graph.slam.covariances import innovation
 from fvslam_graph.slam.landmarks import Array
 from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels
 from fvslam_graph.slam.state import State
@@ -55,16 +56,15 @@ def low_innovation_inliers(
         (N,) bool, and the sum of votes: a match that could hardly have failed, as the depth of its landmark is open,
         counts for little.
     """
+    if not found.any():
+        return found.copy(), 0.0
     candidates = np.flatnonzero(found)
-    noise = sigma**2 * np.eye(2 * len(candidates))
-    jacobian = prediction.jacobian(found)
-    product = jacobian @ state.covariance
-    spread = jacobian @ product.T + noise
-    innovation = (pixels - prediction.pixels)[candidates]
+    product, spread = innovation(prediction.jacobian(found), state.covariance, sigma)
+    off = (pixels - prediction.pixels)[candidates]
 
     sample = rng.permutation(len(candidates))[:SAMPLE]
     rows = (2 * sample[:, None] + (0, 1)).ravel()
-    known, likely = innovation[sample], spread[np.ix_(rows, rows)]
+    known, likely = off[sample], spread[np.ix_(rows, rows)]
     chosen, votes, needed = np.zeros(len(sample), bool), 0.0, len(sample)
     for tried in range(len(sample)):
         if tried >= needed:
@@ -78,43 +78,41 @@ def low_innovation_inliers(
     best = np.zeros(len(candidates), bool)
     best[sample[chosen]] = True
     if len(sample) < len(candidates):
-        best, votes = _agree(best, innovation, spread, slack)
+        best, votes = _agree(best, off, spread, slack)
     # What is left out of a linear model is quadratic in the angle by which the view differs from the expected one.
-    if best.any() and (innovation[best] ** 2).sum(axis=1).max() > slack * camera.fx / 4:
+    if best.any() and (off[best] ** 2).sum(axis=1).max() > slack * camera.fx / 4:
         rows = np.repeat(best, 2)
-        error = product[rows].T @ np.linalg.solve(spread[np.ix_(rows, rows)], innovation[best].ravel())
+        error = product[rows].T @ np.linalg.solve(spread[np.ix_(rows, rows)], off[best].ravel())
         there = predict_pixels(state.moved(error), seconds, camera)
         jacobian = there.jacobian(found)
-        innovation = (pixels - there.pixels)[candidates] + (jacobian @ error).reshape(-1, 2)
-        spread = jacobian @ (jacobian @ state.covariance).T + noise
-        best, votes = _agree(best, innovation, spread, slack)
+        off = (pixels - there.pixels)[candidates] + (jacobian @ error).reshape(-1, 2)
+        _, spread = innovation(jacobian, state.covariance, sigma)
+        best, votes = _agree(best, off, spread, slack)
     inliers = found.copy()
     inliers[candidates] = best
     return inliers, votes
 
 
-def _agree(
-    chosen: NDArray[np.bool_], innovation: Array, spread: Array, slack: float
-) -> tuple[NDArray[np.bool_], float]:
+def _agree(chosen: NDArray[np.bool_], off: Array, spread: Array, slack: float) -> tuple[NDArray[np.bool_], float]:
     """Which of N matches lie where the chosen ones, each of these without itself, lead to; and the sum of their votes.
 
     Args:
         chosen: (N,) bool.
-        innovation: (N, 2) pixels.
+        off: (N, 2) pixels from where they were expected.
         spread: (2N, 2N) its covariance.
         slack: Pixels of tolerance.
     """
     if not chosen.any():
         return chosen, 0.0
     inside, outside = np.repeat(chosen, 2), np.repeat(~chosen, 2)
-    residual, covariance = np.empty_like(innovation), np.empty((len(chosen), 2, 2))
+    residual, covariance = np.empty_like(off), np.empty((len(chosen), 2, 2))
     # The others' conditional distribution, and that of each chosen one given the rest of them (leave one out).
     information = np.linalg.inv(spread[np.ix_(inside, inside)])
-    weighted = information @ innovation[chosen].ravel()
+    weighted = information @ off[chosen].ravel()
     covariance[chosen] = np.linalg.inv(_blocks(information))
     residual[chosen] = np.einsum("nij,nj->ni", covariance[chosen], weighted.reshape(-1, 2))
     cross = spread[np.ix_(outside, inside)]
-    residual[~chosen] = innovation[~chosen] - (cross @ weighted).reshape(-1, 2)
+    residual[~chosen] = off[~chosen] - (cross @ weighted).reshape(-1, 2)
     explained = ((cross @ information).reshape(-1, 2, cross.shape[1])) @ cross.reshape(-1, 2, cross.shape[1]).mT
     covariance[~chosen] = _blocks(spread)[~chosen] - explained
 

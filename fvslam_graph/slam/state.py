@@ -204,9 +204,10 @@ class State:
         front, _, jacobian = self.log_distances()
         if not front.any():
             return None
-        variances = jacobian.multiply(jacobian @ self.covariance).sum(axis=1)
+        dense = jacobian.toarray()
+        variances = np.einsum("ni,ni->n", jacobian @ self.covariance, dense)
         weight = front / (variances + LEAST_LOG_VARIANCE)
-        mean: Array = (weight / weight.sum()) @ jacobian
+        mean: Array = (weight / weight.sum()) @ dense
         return mean
 
     def check(self) -> None:
