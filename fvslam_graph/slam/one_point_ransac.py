@@ -69,7 +69,7 @@ def low_innovation_inliers(
     for tried in range(len(sample)):
         if tried >= needed:
             break
-        possible, _ = _agree(np.arange(len(sample)) == tried, known, likely, slack)
+        possible = _possible(tried, known, likely, slack)
         agree, sum_of_votes = _agree(possible, known, likely, slack)
         if sum_of_votes > votes:
             chosen, votes = agree, sum_of_votes
@@ -91,6 +91,15 @@ def low_innovation_inliers(
     inliers = found.copy()
     inliers[candidates] = best
     return inliers, votes
+
+
+def _possible(taken: int, off: Array, spread: Array, slack: float) -> NDArray[np.bool_]:
+    """Which of N matches a single one that is taken as right does not rule out; arguments as for `_agree`."""
+    cross = spread.reshape(len(off), 2, len(off), 2)[:, :, taken]
+    gain = cross @ np.linalg.inv(cross[taken])
+    residual, covariance = off - gain @ off[taken], _blocks(spread) - gain @ cross.mT
+    residual[taken], covariance[taken] = off[taken], cross[taken]
+    return _near(residual, covariance, slack)
 
 
 def _agree(chosen: NDArray[np.bool_], off: Array, spread: Array, slack: float) -> tuple[NDArray[np.bool_], float]:
@@ -116,10 +125,17 @@ def _agree(chosen: NDArray[np.bool_], off: Array, spread: Array, slack: float) -
     explained = ((cross @ information).reshape(-1, 2, cross.shape[1])) @ cross.reshape(-1, 2, cross.shape[1]).mT
     covariance[~chosen] = _blocks(spread)[~chosen] - explained
 
-    tolerance = np.linalg.inv(covariance + slack**2 / GATE * np.eye(2))
-    agree: NDArray[np.bool_] = np.einsum("ni,nij,nj->n", residual, tolerance, residual) < GATE
+    agree = _near(residual, covariance, slack)
     votes = KNOWN**2 / np.sqrt(np.linalg.det(covariance[agree] + KNOWN**2 * np.eye(2)))
     return agree, float(votes.sum())
+
+
+def _near(residual: Array, covariance: Array, slack: float) -> NDArray[np.bool_]:
+    """Which residuals (N, 2) of covariance (N, 2, 2) are within the gate, with pixels of tolerance."""
+    (x, y), tolerance = residual.T, slack**2 / GATE
+    xx, yy, xy = covariance[:, 0, 0] + tolerance, covariance[:, 1, 1] + tolerance, covariance[:, 0, 1]
+    near: NDArray[np.bool_] = yy * x**2 - 2 * xy * x * y + xx * y**2 < GATE * (xx * yy - xy**2)
+    return near
 
 
 def _blocks(matrix: NDArray[Any]) -> Array:

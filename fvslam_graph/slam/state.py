@@ -178,13 +178,14 @@ class State:
         if not chosen.any():
             return self
         points, by_landmark = to_points(self.inverse[chosen])
-        jacobian = sparse_rows([(by_landmark, self.columns[0][chosen, 6:])], len(self.covariance))
-        cross = jacobian @ self.covariance
+        columns = self.columns[0][chosen, 6:]
+        cross = (by_landmark @ self.covariance[columns]).reshape(points.size, -1)
+        own = (by_landmark @ cross.T[columns]).reshape(points.size, -1)
         grown = replace(
             self,
             points=np.vstack([self.points, points]),
             ids=np.concatenate([self.ids, self.ids[: len(chosen)][chosen]]),
-            covariance=extended(self.covariance, cross, jacobian @ cross.T),
+            covariance=extended(self.covariance, cross, own),
         )
         return grown.without(np.concatenate([chosen, np.zeros(len(self.points) + len(points), bool)]))
 
