@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fvslam_graph.slam.covariances import extended, selected, sparse_rows, transformed
+from fvslam_graph.slam.covariances import extended, innovation, selected, sparse_rows, transformed
 
 from .conftest import random_covariance
 
@@ -24,6 +24,17 @@ def test_transformed_is_symmetric_to_the_bit():
     result = transformed(covariance, jacobian)
     assert np.array_equal(result, result.T)
     assert np.allclose(result, jacobian.toarray() @ covariance @ jacobian.toarray().T)
+
+
+def test_innovation_is_that_of_dense_matrices():
+    rng = np.random.default_rng(2)
+    covariance = random_covariance(rng, 5, 1.0)
+    jacobian = sparse_rows([(rng.standard_normal((2, 2, 3)), np.array([[0, 1, 2], [0, 3, 4]]))], 5)
+    product, spread = innovation(jacobian, covariance, 0.5)
+    dense = jacobian.toarray()
+    assert np.allclose(product, dense @ covariance)
+    assert np.allclose(spread, dense @ covariance @ dense.T + 0.25 * np.eye(4))
+    assert np.array_equal(spread, spread.T)
 
 
 def test_what_is_put_at_the_end_can_be_taken_from_anywhere():
