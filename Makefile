@@ -5,8 +5,9 @@ PYTHON ?= $(shell for python in python3.11 python3; do \
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+CHROMIUM := DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium fonts-dejavu-core
 
-.PHONY: help demo test lint lock clean
+.PHONY: help demo test lint browser lock clean
 .DEFAULT_GOAL := help
 
 help: ## This list
@@ -15,13 +16,19 @@ help: ## This list
 demo: $(READY) ## Fly over generated terrain, estimate the motion, compare and plot; results in runs/demo
 	$(BIN)/fvslam demo
 
-test: lint ## Lint, types and all tests
+test: lint browser ## Lint, types and all tests
 	$(BIN)/pytest
 
 lint: $(READY) ## ruff and mypy
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+
+# The report of a study is looked at in a browser: Debian's Chromium, where it is or can be installed.
+browser:
+	@command -v chromium >/dev/null || { test "$$(id -u)" = 0 && command -v apt-get >/dev/null && \
+		{ $(CHROMIUM) || { apt-get update -qq && $(CHROMIUM); }; } >/dev/null 2>&1; } || \
+		echo "There is no Chromium: the tests of reports in a browser are skipped."
 
 lock: ## Pin the newest versions that pyproject.toml allows in requirements.lock
 	$(PYTHON) -m venv build/lock

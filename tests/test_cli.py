@@ -13,7 +13,7 @@ from fvslam_graph import pipeline
 from fvslam_graph.run_folder import read_run
 
 COMMANDS = ("run", "evaluate", "plot", "compare", "study", "info", "demo")
-HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib"}
+HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib", "dask", "distributed"}
 
 
 def test_run_evaluate_and_plot(drive, tmp_path, fvslam):
