@@ -2,11 +2,13 @@
 
 import numpy as np
 import typer
-from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_variants, save, spread
+from experiments import Frames, Out, Preset, Seeds, SequencePath, column, run_variants, save
 from matplotlib.figure import Figure
 
 from fvslam_graph.config import Mode
 from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.study.outcome import spread
 
 MODES = {mode.value: (f"mode={mode}",) for mode in Mode}
 GRAPH = {
@@ -34,23 +36,24 @@ def main(path: SequencePath, out: Out, preset: Preset = "tuned", frames: Frames 
     rows = [row for group in groups.values() for row in group]
     name = rows[0]["sequence"]
 
-    table = markdown(
+    caption = (
+        f"{name}, preset {preset}, scale by {rows[0]['scale_source']}, online unless it says smoothed, APE after "
+        f"Sim(3); median (range) over {seeds} seeds; ms: mean over frames without reading, one run on each core."
+    )
+    table = Table(
         ("variant", "APE (m)", "smoothed", "t_rel (%)", "r_rel (deg/100 m)", "ms/frame"),
-        (
+        [
             (
                 variant,
-                spread(group, "ape"),
-                spread(group, "ape_smoothed"),
+                spread(column(group, "ape")),
+                spread(column(group, "ape_smoothed")),
                 f"{np.median(column(group, 't_rel')):.2f}",
                 f"{np.median(column(group, 'r_rel')):.3f}",
                 f"{np.median(column(group, 'ms')):.0f}",
             )
             for variant, group in groups.items()
-        ),
-    )
-    table += (
-        f"\n{name}, preset {preset}, scale by {rows[0]['scale_source']}, online unless it says smoothed, APE after "
-        f"Sim(3); median (range) over {seeds} seeds; ms: mean over frames without reading, one run on each core.\n"
+        ],
+        caption=caption,
     )
 
     def draw(figure: Figure) -> None:

@@ -20,6 +20,7 @@ from fvslam_graph.config import load_config
 from fvslam_graph.errors import FvslamError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.plots import STYLE
+from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.job import Job, Source
 
@@ -75,23 +76,14 @@ def column(rows: Iterable[dict[str, Any]], name: str) -> NDArray[np.float64]:
     return np.array([row[name] for row in rows], float)
 
 
-def spread(rows: Iterable[dict[str, Any]], name: str, style: str = ".3f") -> str:
-    """Median and range over runs."""
-    values = column(rows, name)
-    values = values[~np.isnan(values)]
-    if not len(values):
-        return "-"
-    return f"{np.median(values):{style}} ({values.min():{style}}-{values.max():{style}})"
-
-
-def markdown(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """A Markdown table; all columns but the first are numbers."""
-    rules = ["---", *["---:"] * (len(header) - 1)]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in (header, rules, *lines))
-
-
 def save(
-    out: Path, experiment: str, name: str, rows: Rows, table: str, draw: Callable[[Figure], None], size: tuple[int, int]
+    out: Path,
+    experiment: str,
+    name: str,
+    rows: Rows,
+    table: Table,
+    draw: Callable[[Figure], None],
+    size: tuple[int, int],
 ) -> None:
     """Write `<experiment>-<name>` as .csv, .md and .png, and print the table."""
     out.mkdir(parents=True, exist_ok=True)
@@ -100,10 +92,10 @@ def save(
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    stem.with_name(f"{stem.name}.md").write_text(table)
+    stem.with_name(f"{stem.name}.md").write_text(table.markdown())
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         figure.savefig(stem.with_name(f"{stem.name}.png"))
-    Console().print(table)
+    Console().print(table.rich())
     Console().print(f"{stem}.csv, .md, .png")

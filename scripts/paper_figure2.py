@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from experiments import Frames, Out, Preset, SequencePath, markdown, save
+from experiments import Frames, Out, Preset, SequencePath, save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from fvslam_graph.errors import FvslamError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.plots import RUN_COLOURS, TRUTH, level_axes
 from fvslam_graph.evaluation.runs import evaluation_of
+from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.pipeline import applicable, estimate, facts
 from fvslam_graph.results import collect
 from fvslam_graph.sequences.opening import open_sequence
@@ -88,11 +89,12 @@ def main(
             axes.legend()
 
     rows = [{"sequence": sequence.name, "mode": mode, **numbers(evaluations[mode])} for mode in MODES]
-    table = markdown(
+    caption = f"{sequence.name}, preset {preset}, scale by {config.scale.source}, online, Sim(3), seed {seed}."
+    table = Table(
         ("mode", "APE (m)", "RPE (m)", "t_rel (%)", "r_rel (deg/100 m)"),
-        ((MODES[str(r["mode"])], *(f"{r[key]:.3f}" for key in ("ape", "rpe", "t_rel", "r_rel"))) for r in rows),
+        [(MODES[str(r["mode"])], *(f"{r[key]:.3f}" for key in ("ape", "rpe", "t_rel", "r_rel"))) for r in rows],
+        caption=caption,
     )
-    table += f"\n{sequence.name}, preset {preset}, scale by {config.scale.source}, online, Sim(3), seed {seed}.\n"
     save(out, "figure2", f"{sequence.name}-{preset}", rows, table, draw, (12, 9))
 
 

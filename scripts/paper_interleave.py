@@ -2,10 +2,12 @@
 
 import numpy as np
 import typer
-from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_variants, save, spread
+from experiments import Frames, Out, Preset, Seeds, SequencePath, column, run_variants, save
 from matplotlib.figure import Figure
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.study.outcome import spread
 
 DISTANCES = range(1, 11)
 SHOWN = {"ape": "APE after Sim(3) (m)", "ms": "time (ms/frame, mean)", "matched": "matches per V-SLAM frame"}
@@ -24,23 +26,24 @@ def main(
     rows = [row for group in groups.values() for row in group]
     name = rows[0]["sequence"]
 
-    table = markdown(
+    caption = (
+        f"{name}, preset {preset}, mode {mode}, scale by {rows[0]['scale_source']}, online, APE after Sim(3); median "
+        f"and range over {seeds} seeds; ms: mean over frames without reading, one run on each core."
+    )
+    table = Table(
         ("interleave distance", "APE (m)", "t_rel (%)", "r_rel (deg/100 m)", "matches", "ms/frame"),
-        (
+        [
             (
                 f"{distance}",
-                spread(group, "ape"),
-                spread(group, "t_rel", ".2f"),
-                spread(group, "r_rel"),
+                spread(column(group, "ape")),
+                spread(column(group, "t_rel"), ".2f"),
+                spread(column(group, "r_rel")),
                 f"{np.median(column(group, 'matched')):.1f}",
                 f"{np.median(column(group, 'ms')):.1f}",
             )
             for distance, group in groups.items()
-        ),
-    )
-    table += (
-        f"\n{name}, preset {preset}, mode {mode}, scale by {rows[0]['scale_source']}, online, APE after Sim(3); median "
-        f"and range over {seeds} seeds; ms: mean over frames without reading, one run on each core.\n"
+        ],
+        caption=caption,
     )
 
     def draw(figure: Figure) -> None:

@@ -6,10 +6,11 @@ measured in a slow minute of the machine alone.
 
 import numpy as np
 import typer
-from experiments import Frames, Out, Preset, SequencePath, job_of, markdown, run_all, save
+from experiments import Frames, Out, Preset, SequencePath, job_of, run_all, save
 from matplotlib.figure import Figure
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.evaluation.tables import Table
 
 FEATURES = (15, 17, 19, 21, 23, 25)
 MODES = {"vo": "VO", "vslam": "V-SLAM", "average": "ours"}
@@ -49,12 +50,12 @@ def main(
         lines.append(
             (f"{label}: V-SLAM / V-SLAM(15)", *(f"{value:.2f}" for value in times["vslam"] / times["vslam"][0]))
         )
-    table = markdown(("number of features", *map(str, FEATURES)), lines)
     name = rows[0]["sequence"]
-    table += (
-        f"\n{name}, frames {frames}, preset {preset}; measured: mean over the frames without reading, median of "
-        f"{repeat} runs taken in turn. The number of features is that of V-SLAM's landmarks; VO keeps its own.\n"
+    caption = (
+        f"{name}, frames {frames}, preset {preset}; measured: mean over the frames without reading, median of "
+        f"{repeat} runs taken in turn. The number of features is that of V-SLAM's landmarks; VO keeps its own."
     )
+    table = Table(("number of features", *map(str, FEATURES)), lines, caption=caption)
 
     def draw(figure: Figure) -> None:
         figure.suptitle("computing time relative to VO with 15 features")

@@ -1,10 +1,12 @@
 """The paper's claim that fifty-fifty is best: fusion weight of V-SLAM, from 0 to 1, against APE and drift."""
 
 import typer
-from experiments import Frames, Out, Preset, Seeds, SequencePath, column, markdown, run_variants, save, spread
+from experiments import Frames, Out, Preset, Seeds, SequencePath, column, run_variants, save
 from matplotlib.figure import Figure
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.study.outcome import spread
 
 WEIGHTS = [round(0.1 * step, 1) for step in range(11)]
 
@@ -15,16 +17,22 @@ def main(path: SequencePath, out: Out, preset: Preset = "tuned", frames: Frames 
     rows = [row for group in groups.values() for row in group]
     name = rows[0]["sequence"]
 
-    table = markdown(
-        ("weight of V-SLAM", "APE (m)", "t_rel (%)", "r_rel (deg/100 m)"),
-        (
-            (f"{weight}", spread(group, "ape"), spread(group, "t_rel", ".2f"), spread(group, "r_rel"))
-            for weight, group in groups.items()
-        ),
+    caption = (
+        f"{name}, preset {preset}, mode average, scale by {rows[0]['scale_source']}, online, APE after Sim(3); "
+        f"median and range over {seeds} seeds."
     )
-    table += (
-        f"\n{name}, preset {preset}, mode average, scale by {rows[0]['scale_source']}, online, APE after Sim(3); "
-        f"median and range over {seeds} seeds.\n"
+    table = Table(
+        ("weight of V-SLAM", "APE (m)", "t_rel (%)", "r_rel (deg/100 m)"),
+        [
+            (
+                f"{weight}",
+                spread(column(group, "ape")),
+                spread(column(group, "t_rel"), ".2f"),
+                spread(column(group, "r_rel")),
+            )
+            for weight, group in groups.items()
+        ],
+        caption=caption,
     )
 
     def draw(figure: Figure) -> None:
