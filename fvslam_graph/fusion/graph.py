@@ -131,7 +131,8 @@ class Graph:
     def write(self, folder: Path) -> None:
         """Write the graph: poses and motions as g2o, which knows no pixels; landmarks as PLY; all of it as GTSAM does.
 
-        `graph.gtsam` and `values.gtsam` are GTSAM's own serialisation; read back, their error is the same.
+        `graph.gtsam` and `values.gtsam` are GTSAM's own serialisation; read back, their error is the same. There is no
+        `graph.gtsam` for odometry as `essential`, since GTSAM has no serialisation of EssentialMatrixConstraint.
         """
         factors, estimate = self.solver.factors(), self.solver.values()
         poses, motions = gtsam.Values(), gtsam.NonlinearFactorGraph()
@@ -143,7 +144,8 @@ class Graph:
             if isinstance(factor, gtsam.BetweenFactorPose3):
                 motions.add(_plain(factor))
         gtsam.writeG2o(motions, poses, str(folder / G2O))
-        (folder / FACTORS).write_text(factors.serialize())
+        if self.settings.odometry != "essential":
+            (folder / FACTORS).write_text(factors.serialize())
         (folder / VALUES).write_text(estimate.serialize())
         (folder / LANDMARKS_PLY).write_text(_ply(self.landmarks()))
 

@@ -121,6 +121,30 @@ def test_written_and_read_back(fed, tmp_path):
     assert len(lines) - lines.index("end_header") - 1 == len(made.graph.landmarks()) > 10
 
 
+@pytest.mark.parametrize(
+    ("kind", "written"),
+    [
+        ({"landmarks": "bearing_range"}, True),
+        ({"landmarks": "smart"}, True),
+        ({"landmarks": "none"}, True),
+        *(({"kernel": kernel}, True) for kernel in ("huber", "geman_mcclure", "none")),
+        ({"lag": 2.0}, True),
+        ({"odometry": "essential"}, False),
+    ],
+)
+def test_every_kind_of_graph_is_written(fed, tmp_path, kind, written):
+    made = fed(frames=21, **kind)
+    made.graph.write(tmp_path)
+    assert (tmp_path / FACTORS).exists() == written
+    values = gtsam.Values()
+    values.deserialize((tmp_path / VALUES).read_text())
+    assert values.size() > 5
+    if written:
+        factors = gtsam.NonlinearFactorGraph()
+        factors.deserialize((tmp_path / FACTORS).read_text())
+        assert factors.size() > 5
+
+
 def test_the_same_bits(fed):
     a, b = fed(seed=4), fed(seed=4)
     assert np.array_equal(a.graph.smoothed().matrices, b.graph.smoothed().matrices)
