@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fvslam_graph.camera import Image
 from fvslam_graph.features.tracks import Tracks
@@ -15,7 +14,7 @@ class SceneTracker:
 
     A tracker aligns a point's patch in the reference image with the current one. It errs about the displacement, by the
     scene's noise, and goes on from where it found the point: a track drifts, and errors of consecutive pairs of images
-    are independent.
+    are independent. What it follows then is what is there, at the depth of the point.
 
     Args:
         scene: Landmarks, their pixels and the noise of these.
@@ -37,8 +36,9 @@ class SceneTracker:
         """The points of the reference that are in view."""
         number = frame_number(image)
         mine = np.flatnonzero(np.isin(self._ids, self.scene.observe(number).ids))
-        moved = self._exact(number, self._ids[mine]) - self._exact(self._reference, self._ids[mine])
-        found = self._points[mine] + moved + self.scene.noise * self._rng.standard_normal(moved.shape)
+        followed = self.scene.beside(self._reference, self._ids[mine], self._points[mine])
+        exact = self.scene.exact(number, followed)
+        found = exact + self.scene.noise * self._rng.standard_normal(exact.shape)
         is_wrong = self._rng.random(len(mine)) < self.wrong
         camera = self.scene.camera
         anywhere = self._rng.uniform(0, (camera.width - 1, camera.height - 1), (len(mine), 2))
@@ -53,6 +53,3 @@ class SceneTracker:
         self._ids = np.concatenate([kept.ids, seen.ids[new]])
         self._points = np.vstack([kept.current, seen.pixels[new]])
         return Tracks(self._ids, self._points, self._points)
-
-    def _exact(self, frame: int, ids: NDArray[np.int64]) -> NDArray[np.float64]:
-        return self.scene.camera.project(self.scene.in_camera(frame)[ids])

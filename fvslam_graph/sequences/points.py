@@ -113,6 +113,20 @@ class PointScene:
         points: Array = (self.landmarks - world_T_camera[:3, 3]) @ world_T_camera[:3, :3]
         return points
 
+    def beside(self, frame: int, ids: NDArray[np.int64], pixels: Array) -> Array:
+        """(N, 3) world, metres: what is seen in a frame at pixels (N, 2), each at the depth of a landmark near it."""
+        depths = self.in_camera(frame)[ids, 2]
+        rays = np.column_stack([self.camera.normalize(pixels), np.ones(len(pixels))])
+        world_T_camera = self.trajectory.matrices[frame]
+        points: Array = (depths[:, None] * rays) @ world_T_camera[:3, :3].T + world_T_camera[:3, 3]
+        return points
+
+    def exact(self, frame: int, points: Array) -> Array:
+        """(N, 2) pixels of points (N, 3), world, in a frame, without noise."""
+        world_T_camera = self.trajectory.matrices[frame]
+        pixels: Array = self.camera.project((points - world_T_camera[:3, 3]) @ world_T_camera[:3, :3])
+        return pixels
+
     def _project(self, frame: int) -> tuple[Array, NDArray[np.bool_]]:
         """Exact pixels (M, 2), and which are in view."""
         points = self.in_camera(frame)

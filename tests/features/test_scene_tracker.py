@@ -1,5 +1,7 @@
 """Odometry's eyes on a simulated scene."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,6 +33,19 @@ def test_points_are_followed_exactly(scene):
     again = tracker.rebase(recording.frame(2).image, kept)
     assert len(again) == 100 and len(np.unique(again.ids)) == 100
     assert again.ids[:30].tolist() == kept.ids.tolist()
+
+
+def test_a_track_that_has_drifted_follows_what_is_there(scene):
+    tracker, recording = SceneTracker(scene, 100), scene.sequence("points")
+    points = tracker.rebase(recording.frame(0).image, Tracks.none())
+    drifted = replace(points, current=points.current + np.array([2.0, -1.0]))
+    tracker.rebase(recording.frame(0).image, drifted)
+    tracks = tracker.track(recording.frame(4).image)
+    assert tracks.reference == pytest.approx(drifted.current[np.isin(points.ids, tracks.ids)])
+    depths = scene.in_camera(0)[tracks.ids, 2]
+    there = depths[:, None] * np.column_stack([scene.camera.normalize(tracks.reference), np.ones(len(tracks))])
+    moved = scene.trajectory.poses[0].between(scene.trajectory.poses[4])
+    assert tracks.current == pytest.approx(scene.camera.project(moved.transformTo(there.T).T), abs=1e-9)
 
 
 def test_wrong_matches(scene):
