@@ -17,6 +17,7 @@ class KnownPoints:
         pixels: (N, 2).
         inverse_depths: (N,) 1/metres.
         sigmas: (N,) their standard deviations, each on its own.
+        shared: (N, S) what each of S errors of deviation 1, which all share, adds to the inverse depths.
         log_variance: Variance of the logarithm of the scale that all depths share.
     """
 
@@ -24,6 +25,7 @@ class KnownPoints:
     pixels: NDArray[np.float64]
     inverse_depths: NDArray[np.float64]
     sigmas: NDArray[np.float64]
+    shared: NDArray[np.float64]
     log_variance: float
 
     def __len__(self) -> int:
@@ -31,5 +33,10 @@ class KnownPoints:
 
     def __getitem__(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> KnownPoints:
         return KnownPoints(
-            self.ids[chosen], self.pixels[chosen], self.inverse_depths[chosen], self.sigmas[chosen], self.log_variance
+            self.ids[chosen],
+            self.pixels[chosen],
+            self.inverse_depths[chosen],
+            self.sigmas[chosen],
+            self.shared[chosen],
+            self.log_variance,
         )

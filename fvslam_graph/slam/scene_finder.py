@@ -31,7 +31,7 @@ class SceneFinder:
         self._rng = np.random.default_rng(seed)
         self._ids = np.empty(0, np.int64)  # of the filter's landmarks, ascending,
         self._of_scene = np.empty(0, np.int64)  # which of the scene's they are,
-        self._beside = np.empty((0, 2))  # and how far beside it they began, where a track had drifted
+        self._points = np.empty((0, 3))  # and where, world, metres: beside it, where they began on a drifted track
 
     def find(self, frame: Frame, search: Search) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels (N, 2) and which were found, (N,)."""
@@ -39,7 +39,8 @@ class SceneFinder:
         mine = np.searchsorted(self._ids, search.ids)
         wanted = self._of_scene[mine]
         rows = np.minimum(np.searchsorted(seen.ids, wanted), len(seen.ids) - 1)
-        off = seen.pixels[rows] + self._beside[mine] - search.pixels
+        noise = seen.pixels[rows] - self._exact(frame.index, seen.ids[rows])
+        off = self.scene.exact(frame.index, self._points[mine]) + noise - search.pixels
         square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(search.covariances), off)
         found = (seen.ids[rows] == wanted) & (square < GATE)
         wrong = self._rng.random(len(found)) < self.wrong
@@ -57,12 +58,17 @@ class SceneFinder:
         rows = np.linalg.norm(seen.pixels[:, None] - pixels, axis=2).argmin(axis=0)
         self._ids = np.concatenate([self._ids, ids])
         self._of_scene = np.concatenate([self._of_scene, seen.ids[rows]])
-        self._beside = np.vstack([self._beside, pixels - seen.pixels[rows]])
+        # The noise of this image is in the reference patch, too.
+        noise = seen.pixels[rows] - self._exact(frame.index, seen.ids[rows])
+        self._points = np.vstack([self._points, self.scene.beside(frame.index, seen.ids[rows], pixels - noise)])
 
     def forget(self, kept: NDArray[np.int64]) -> None:
         """Drop all landmarks but these."""
         stay = np.isin(self._ids, kept)
-        self._ids, self._of_scene, self._beside = self._ids[stay], self._of_scene[stay], self._beside[stay]
+        self._ids, self._of_scene, self._points = self._ids[stay], self._of_scene[stay], self._points[stay]
+
+    def _exact(self, frame: int, ids: NDArray[np.int64]) -> Array:
+        return self.scene.exact(frame, self.scene.landmarks[ids])
 
 
 def known_points(
@@ -81,4 +87,5 @@ def known_points(
     true = 1 / scene.in_camera(frame)[seen.ids, 2]
     error = sigma * rng.standard_normal(len(true)) + scale_sigma * rng.standard_normal()
     inverse = true * np.exp(error)
-    return KnownPoints(seen.ids, seen.pixels, inverse, np.maximum(sigma * inverse, 1e-12), scale_sigma**2)
+    sigmas, nothing = np.maximum(sigma * inverse, 1e-12), np.zeros((len(true), 0))
+    return KnownPoints(seen.ids, seen.pixels, inverse, sigmas, nothing, scale_sigma**2)

@@ -8,7 +8,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-PIXEL_NOISE = 0.3  # pixels, standard deviation of a track's position, for weights between tracks
+PIXEL_NOISE = 0.3  # pixels, of a displacement along each axis, where no motion has told it
+SHARED = 5  # errors that depths share: those of rotation and direction
 
 
 @dataclass(frozen=True)
@@ -18,12 +19,15 @@ class InverseDepths:
     Attributes:
         ids: (N,) of the tracks.
         values: (N,) 1/metres (1/baseline where the baseline has no scale yet).
-        sigmas: (N,) standard deviations.
+        sigmas: (N,) standard deviations, each on its own.
+        shared: (N, 5) how they err together, by the rotation and direction of the motion that triangulated them: what
+            each of five independent errors of deviation 1 adds to them.
     """
 
     ids: NDArray[np.int64]
     values: NDArray[np.float64]
     sigmas: NDArray[np.float64]
+    shared: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -31,7 +35,14 @@ class InverseDepths:
     @classmethod
     def none(cls) -> InverseDepths:
         """Of no points."""
-        return cls(np.empty(0, np.int64), np.empty(0), np.empty(0))
+        return cls.independent(np.empty(0, np.int64), np.empty(0), np.empty(0))
+
+    @classmethod
+    def independent(
+        cls, ids: NDArray[np.int64], values: NDArray[np.float64], sigmas: NDArray[np.float64]
+    ) -> InverseDepths:
+        """Of points whose errors have nothing in common."""
+        return cls(ids, values, sigmas, np.zeros((len(ids), SHARED)))
 
     def common(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Where tracks `ids` and these depths are of the same points: indices into these, and into `ids`."""
@@ -39,25 +50,30 @@ class InverseDepths:
         return mine, theirs
 
     def __getitem__(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> InverseDepths:
-        return InverseDepths(self.ids[chosen], self.values[chosen], self.sigmas[chosen])
+        return InverseDepths(self.ids[chosen], self.values[chosen], self.sigmas[chosen], self.shared[chosen])
 
     def scaled(self, factor: float) -> InverseDepths:
         """The same points with all distances multiplied by `factor`."""
-        return InverseDepths(self.ids, self.values / factor, self.sigmas / factor)
+        return InverseDepths(self.ids, self.values / factor, self.sigmas / factor, self.shared / factor)
 
     def fused(self, other: InverseDepths) -> InverseDepths:
-        """Both together; a point that both know gets the mean, weighted by information."""
+        """Both together; a point that both know gets the mean, weighted by information.
+
+        What the depths of one motion share is averaged out by those of others just as what each has on its own.
+        """
         mine, theirs = self.common(other.ids)
         information = self.sigmas[mine] ** -2 + other.sigmas[theirs] ** -2
         mean = (self.values[mine] * self.sigmas[mine] ** -2 + other.values[theirs] * other.sigmas[theirs] ** -2) / (
             information
         )
+        shared = other.shared[theirs] * (information**-0.5 / other.sigmas[theirs])[:, None]
         only_mine = np.setdiff1d(np.arange(len(self)), mine)
         only_theirs = np.setdiff1d(np.arange(len(other)), theirs)
         return InverseDepths(
             np.concatenate([self.ids[mine], self.ids[only_mine], other.ids[only_theirs]]),
             np.concatenate([mean, self.values[only_mine], other.values[only_theirs]]),
             np.concatenate([information**-0.5, self.sigmas[only_mine], other.sigmas[only_theirs]]),
+            np.vstack([shared, self.shared[only_mine], other.shared[only_theirs]]),
         )
 
     def moved(self, rays: NDArray[np.float64], ref_T_new: gtsam.Pose3) -> InverseDepths:
@@ -74,7 +90,10 @@ class InverseDepths:
         values = self.values / remaining
         kept = (remaining > 0.05 * along) & (values > 0)
         # d(value / (along - value a)) / d value = along / remaining^2
-        return InverseDepths(self.ids[kept], values[kept], (self.sigmas * along / remaining**2)[kept])
+        by_value = along[kept] / remaining[kept] ** 2
+        return InverseDepths(
+            self.ids[kept], values[kept], by_value * self.sigmas[kept], by_value[:, None] * self.shared[kept]
+        )
 
 
 def triangulate(
@@ -84,6 +103,8 @@ def triangulate(
     rotation: gtsam.Rot3,
     baseline: NDArray[np.float64],
     focal: float,
+    noise: float = PIXEL_NOISE,
+    covariance: NDArray[np.float64] | None = None,
 ) -> InverseDepths:
     """Inverse depths in the previous camera of points seen in two views; they may come out negative.
 
@@ -96,6 +117,8 @@ def triangulate(
         rotation: prev_R_cur.
         baseline: (3,) from the previous camera to the current one, in the previous; its length is the unit of depth.
         focal: Pixels.
+        noise: Pixels, standard deviation of a track's displacement along each axis.
+        covariance: (5, 5) of rotation and direction, as in TwoView; without it, they are exact.
     """
     rotated = current @ rotation.matrix().T
     across = rotated @ gtsam.SO3.Hat(baseline)  # rotated x baseline
@@ -103,5 +126,13 @@ def triangulate(
     # How fast the image of the point moves along its epipolar line when rho changes.
     seen = previous - values[:, None] * baseline
     speed = np.linalg.norm(baseline[:2] * seen[:, 2:] - baseline[2] * seen[:, :2], axis=1) / seen[:, 2] ** 2
-    sigmas = PIXEL_NOISE / (focal * np.maximum(speed, 1e-9))
-    return InverseDepths(ids, values, sigmas)
+    sigmas = noise / (focal * np.maximum(speed, 1e-9))
+    if covariance is None:
+        return InverseDepths.independent(ids, values, sigmas)
+    # For y = R (1 + [w]x) y0 and b + |b| B d the cross product above changes by (R w x y) x seen - rho y x (|b| B d).
+    by_rotation = -(across @ rotation.matrix()) * (rotated * seen).sum(axis=1)[:, None]
+    basis = np.linalg.norm(baseline) * gtsam.Unit3(baseline).basis()
+    by_direction = -values[:, None] * np.cross(across, rotated) @ basis
+    by_motion = np.hstack([by_rotation, by_direction]) / np.maximum((across**2).sum(axis=1), 1e-18)[:, None]
+    squares, axes = np.linalg.eigh(covariance)
+    return InverseDepths(ids, values, sigmas, by_motion @ (axes * np.sqrt(np.maximum(squares, 0.0))))

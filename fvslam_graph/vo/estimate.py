@@ -57,6 +57,7 @@ class VoEstimate:
             self.tracks.current[theirs],
             depths.values[mine],
             depths.sigmas[mine],
+            depths.shared[mine],
             self.map.variance,
         )
 

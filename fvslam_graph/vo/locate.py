@@ -13,7 +13,12 @@ from fvslam_graph.vo.two_view import LOSS_SCALE, m_estimator_covariance, poselib
 
 
 def locate(
-    points: NDArray[np.float64], pixels: NDArray[np.float64], camera: Camera, settings: VoSettings, seed: int
+    points: NDArray[np.float64],
+    pixels: NDArray[np.float64],
+    camera: Camera,
+    settings: VoSettings,
+    seed: int,
+    shared: NDArray[np.float64] | None = None,
 ) -> tuple[gtsam.Pose3, NDArray[np.float64], NDArray[np.bool_]] | None:
     """Three-point RANSAC with local optimisation (PoseLib), refined on all inliers; None without a solution.
 
@@ -23,6 +28,7 @@ def locate(
         camera: Undistorted.
         settings: Thresholds.
         seed: Of the RANSAC.
+        shared: (N, 3, S) what each of S errors of deviation 1, which all points share, adds to them; none by itself.
 
     Returns:
         ref_T_cur, its covariance (6, 6) and (N,) bool which points agree.
@@ -41,7 +47,11 @@ def locate(
     if inliers.sum() < settings.min_inliers:
         return None
     residual, jacobian = reprojection(points[inliers] @ pose.R.T + pose.t, pixels[inliers], camera)
-    covariance = m_estimator_covariance(residual, jacobian, LOSS_SCALE)
+    by_shared = None
+    if shared is not None:
+        by_seen = -jacobian[:, 3:].reshape(-1, 2, 3)
+        by_shared = (by_seen @ (pose.R @ shared[inliers])).reshape(len(residual), -1)
+    covariance = m_estimator_covariance(residual, jacobian, LOSS_SCALE, by_shared)
     if covariance is None:
         return None
     return gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse(), covariance, inliers

@@ -197,7 +197,16 @@ class VisualOdometry:
         with self._stopwatch.stage("scale"):
             tracks = tracks[two_view.inliers]
             previous, current = rays(self.camera, tracks.reference), rays(self.camera, tracks.current)
-            unit = triangulate(tracks.ids, previous, current, two_view.rotation, two_view.direction, self.camera.fx)
+            unit = triangulate(
+                tracks.ids,
+                previous,
+                current,
+                two_view.rotation,
+                two_view.direction,
+                self.camera.fx,
+                two_view.noise,
+                two_view.covariance,
+            )
             guesses = [self._guess(unit), self._motion_model.distance(frame.stamp - self._reference.stamp)]
             fallback = min(filter(None, guesses), key=lambda guess: guess.variance)
             scale, known, measured = self._scale.estimate(
@@ -212,8 +221,9 @@ class VisualOdometry:
         mine, theirs = mine[used], theirs[used]
         depths = self._map.depths[mine]
         points = rays(self.camera, tracks.reference[theirs]) / depths.values[:, None]
+        shared = -points[:, :, None] * (depths.shared / depths.values[:, None])[:, None]
         with self._stopwatch.stage("pose"):
-            located = locate(points, tracks.current[theirs], self.camera, self.settings, self._seed())
+            located = locate(points, tracks.current[theirs], self.camera, self.settings, self._seed(), shared)
         if located is None:
             return None
         ref_T_cur, covariance, inliers = located

@@ -16,6 +16,8 @@ from fvslam_graph.features.tracks import Tracks
 SURPRISE = 0.01  # rad between expected and found rotation
 ALIKE = 1.1  # costs within this factor do not tell two solutions apart
 LOSS_SCALE = 0.3  # pixels; residuals well above the tracking noise lose weight (Cauchy)
+# Deviation of a displacement by the median Sampson distance: of noise in one image, a distance over both has sqrt(1/2).
+BY_MEDIAN = 2**0.5 / 0.6745
 
 Rays = NDArray[np.float64]
 
@@ -30,12 +32,14 @@ class TwoView:
         covariance: (5, 5) in the tangent of gtsam.EssentialMatrix(rotation, Unit3(direction)): rotation, then
             direction in the plane of gtsam.Unit3.basis; radians.
         inliers: (N,) bool, which of the tracks agree.
+        noise: Pixels, standard deviation of a track's displacement along each axis, by these.
     """
 
     rotation: gtsam.Rot3
     direction: NDArray[np.float64]
     covariance: NDArray[np.float64]
     inliers: NDArray[np.bool_]
+    noise: float
 
 
 def rays(camera: Camera, pixels: NDArray[np.float64]) -> Rays:
@@ -80,7 +84,10 @@ def estimate_two_view(
         if alternative.cost < ALIKE * solution.cost:
             solution = alternative
     covariance = m_estimator_covariance(solution.distance, solution.jacobian, LOSS_SCALE)
-    return None if covariance is None else TwoView(solution.rotation, solution.direction, covariance, inliers)
+    if covariance is None:
+        return None
+    noise = BY_MEDIAN * float(np.median(np.abs(solution.distance)))
+    return TwoView(solution.rotation, solution.direction, covariance, inliers, noise)
 
 
 def _disagree(solution: _Fit, expected: gtsam.Pose3) -> bool:
@@ -135,7 +142,10 @@ def sampson(
 
 
 def m_estimator_covariance(
-    residual: NDArray[np.float64], jacobian: NDArray[np.float64], loss_scale: float
+    residual: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    loss_scale: float,
+    shared: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
     """Covariance of a Cauchy M-estimate from the residuals themselves, so that no noise level is assumed.
 
@@ -143,6 +153,7 @@ def m_estimator_covariance(
         residual: (N,) at the estimate.
         jacobian: (N, P) of the residuals.
         loss_scale: Of the Cauchy loss, in the residuals' unit.
+        shared: (N, S) what each of S errors of deviation 1 adds to all residuals together.
 
     Returns:
         (P, P); None where the residuals do not determine the parameters.
@@ -157,5 +168,8 @@ def m_estimator_covariance(
         return None
     inverse = np.linalg.inv(bread)
     meat = jacobian.T @ (influence[:, None] ** 2 * jacobian) * (count / (count - parameters))
+    if shared is not None:
+        pull = jacobian.T @ (curvature[:, None] * shared)
+        meat += pull @ pull.T
     covariance: NDArray[np.float64] = inverse @ meat @ inverse
     return (covariance + covariance.T) / 2

@@ -77,7 +77,8 @@ def test_landmarks_as_far_as_the_map_tell_nothing_of_its_scale(random_state, cam
 
 def test_known_depths_are_metric(random_state, camera):
     state = random_state(0)
-    points = KnownPoints(IDS, PIXELS, np.array([0.1, 0.2, 0.5]), np.array([0.01, 0.01, 0.02]), 0.03**2)
+    depths, sigmas = np.array([0.1, 0.2, 0.5]), np.array([0.01, 0.01, 0.02])
+    points = KnownPoints(IDS, PIXELS, depths, sigmas, np.zeros((3, 0)), 0.03**2)
     prior = known_depths(points, camera, len(state.covariance))
     stretch = np.linalg.norm(np.column_stack([camera.normalize(PIXELS), np.ones(3)]), axis=1)
     assert prior.inverse == pytest.approx(points.inverse_depths / stretch)
@@ -89,6 +90,19 @@ def test_known_depths_are_metric(random_state, camera):
     depth_variance = grown.position_covariances()[new][:, 2, 2]
     expected = (points.sigmas / points.inverse_depths**2) ** 2 + (0.03 / points.inverse_depths) ** 2
     assert depth_variance == pytest.approx(expected, rel=0.05)
+
+
+def test_known_depths_share_the_errors_of_a_motion(random_state, camera):
+    shared = np.random.default_rng(0).normal(0, 0.01, (3, 5))
+    points = KnownPoints(IDS, PIXELS, np.array([0.1, 0.2, 0.5]), np.full(3, 0.01), shared, 0.0)
+    state = random_state(0)
+    grown = with_new_landmarks(state, IDS, PIXELS, known_depths(points, camera, len(state.covariance)), camera, 0.5)
+    grown.check()
+    stretch = np.linalg.norm(np.column_stack([camera.normalize(PIXELS), np.ones(3)]), axis=1)
+    rows = grown.offsets[np.isin(grown.ids, IDS)] + 5
+    uncertain_scale = np.outer(points.inverse_depths, points.inverse_depths) * state.covariance[SCALE, SCALE]
+    expected = (1e-4 * np.eye(3) + shared @ shared.T + uncertain_scale) / np.outer(stretch, stretch)
+    assert grown.covariance[np.ix_(rows, rows)] == pytest.approx(expected)
 
 
 def test_without_a_map_there_is_no_depth_to_take_over(random_state, camera):

@@ -10,7 +10,7 @@ from fvslam_graph.vo.two_view import rays
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.6, -0.2, 0.5]))
 
 
-def from_scene(camera, scene, motion=MOTION, current=None) -> InverseDepths:
+def from_scene(camera, scene, motion=MOTION, current=None, covariance=None) -> InverseDepths:
     tracks = scene.tracks
     current = tracks.current if current is None else current
     return triangulate(
@@ -20,6 +20,7 @@ def from_scene(camera, scene, motion=MOTION, current=None) -> InverseDepths:
         motion.rotation(),
         motion.translation(),
         camera.fx,
+        covariance=covariance,
     )
 
 
@@ -52,6 +53,23 @@ def test_sigmas_are_honest(camera, two_views):
     assert abs(np.mean(normalized)) < 0.03
 
 
+def test_shared_errors_by_finite_differences(camera, two_views):
+    scene, step = two_views(MOTION), 1e-6
+    length = np.linalg.norm(MOTION.translation())
+    essential = gtsam.EssentialMatrix(MOTION.rotation(), gtsam.Unit3(MOTION.translation()))
+
+    def values(change: np.ndarray) -> np.ndarray:
+        moved = essential.retract(change)
+        return from_scene(camera, scene, gtsam.Pose3(moved.rotation(), length * moved.direction().point3())).values
+
+    numeric = np.column_stack([(values(step * e) - values(-step * e)) / (2 * step) for e in np.eye(5)])
+    mixing = 0.01 * np.random.default_rng(0).standard_normal((5, 5))
+    depths = from_scene(camera, scene, covariance=mixing @ mixing.T)
+    expected = numeric @ mixing @ mixing.T @ numeric.T
+    assert depths.shared @ depths.shared.T == pytest.approx(expected, rel=1e-4, abs=1e-6 * expected.max())
+    assert not from_scene(camera, scene).shared.any()
+
+
 def test_parallax_the_wrong_way_is_a_negative_depth(camera):
     sideways, ahead = np.array([1.0, 0.0, 0.0]), np.array([[0.0, 0.0, 1.0]] * 2)
     moved = np.array([[-0.1, 0.0, 1.0], [0.1, 0.0, 1.0]])
@@ -66,8 +84,8 @@ def test_no_depth_along_the_direction_of_travel(camera):
 
 
 def test_fused_is_weighted_by_information():
-    a = InverseDepths(np.array([3, 1, 5]), np.array([0.3, 0.1, 0.5]), np.array([0.02, 0.01, 0.05]))
-    b = InverseDepths(np.array([5, 7, 1]), np.array([0.6, 0.7, 0.2]), np.array([0.05, 0.07, 0.03]))
+    a = InverseDepths.independent(np.array([3, 1, 5]), np.array([0.3, 0.1, 0.5]), np.array([0.02, 0.01, 0.05]))
+    b = InverseDepths.independent(np.array([5, 7, 1]), np.array([0.6, 0.7, 0.2]), np.array([0.05, 0.07, 0.03]))
     both = a.fused(b)
     known = {int(i): (value, sigma) for i, value, sigma in zip(both.ids, both.values, both.sigmas, strict=True)}
     assert sorted(known) == [1, 3, 5, 7]
@@ -77,15 +95,23 @@ def test_fused_is_weighted_by_information():
     assert known[1] == pytest.approx((0.11, 0.01 * 0.9**0.5))
 
 
+def test_what_is_shared_averages_out_with_the_rest():
+    ids, values, sigmas = np.arange(3), np.full(3, 0.1), np.array([0.01, 0.02, 0.03])
+    once = InverseDepths(ids, values, sigmas, np.ones((3, 5)))
+    again = once.fused(once)
+    assert again.sigmas == pytest.approx(sigmas / 2**0.5)
+    assert again.shared == pytest.approx(np.full((3, 5), 0.5**0.5))
+
+
 def test_fused_with_nothing():
-    some = InverseDepths(np.array([1, 2]), np.array([0.1, 0.2]), np.array([0.01, 0.02]))
+    some = InverseDepths.independent(np.array([1, 2]), np.array([0.1, 0.2]), np.array([0.01, 0.02]))
     for both in (some.fused(InverseDepths.none()), InverseDepths.none().fused(some)):
         assert both.ids.tolist() == [1, 2] and both.values.tolist() == [0.1, 0.2]
     assert len(InverseDepths.none().fused(InverseDepths.none())) == 0
 
 
 def test_common():
-    depths = InverseDepths(np.array([8, 2, 5]), np.array([0.8, 0.2, 0.5]), np.ones(3))
+    depths = InverseDepths.independent(np.array([8, 2, 5]), np.array([0.8, 0.2, 0.5]), np.ones(3))
     ids = np.array([5, 9, 8, 1])
     mine, theirs = depths.common(ids)
     assert depths.ids[mine].tolist() == ids[theirs].tolist() == [5, 8]
@@ -94,7 +120,7 @@ def test_common():
 
 def test_moved_is_exact(camera, two_views):
     scene = two_views(MOTION)
-    depths = InverseDepths(scene.tracks.ids, 1 / scene.points[:, 2], np.full(len(scene.points), 0.01))
+    depths = InverseDepths.independent(scene.tracks.ids, 1 / scene.points[:, 2], np.full(len(scene.points), 0.01))
     moved = depths.moved(rays(camera, scene.tracks.reference), MOTION)
     in_new = MOTION.transformTo(scene.points.T).T
     assert np.array_equal(moved.ids, depths.ids)
@@ -107,15 +133,20 @@ def test_moved_sigmas_by_finite_differences(camera, two_views):
     values, sigmas = 1 / scene.points[:, 2], np.linspace(0.001, 0.01, len(scene.points))
 
     def moved(change: float) -> InverseDepths:
-        return InverseDepths(scene.tracks.ids, values + change, sigmas).moved(ray, MOTION)
+        return InverseDepths(scene.tracks.ids, values + change, sigmas, np.outer(sigmas, np.arange(5))).moved(
+            ray, MOTION
+        )
 
     derivative = (moved(step).values - moved(-step).values) / (2 * step)
     assert moved(0).sigmas == pytest.approx(sigmas * np.abs(derivative), rel=1e-5)
+    assert moved(0).shared == pytest.approx(np.outer(sigmas * derivative, np.arange(5)), rel=1e-5)
 
 
 def test_points_that_are_passed_are_dropped():
     ray = np.array([[0.0, 0.0, 1.0]] * 5)
-    depths = InverseDepths(np.arange(5), np.array([1 / 10, 1 / 2.5, 1 / 2.05, 1 / 1.5, -1 / 10]), np.full(5, 0.01))
+    depths = InverseDepths.independent(
+        np.arange(5), np.array([1 / 10, 1 / 2.5, 1 / 2.05, 1 / 1.5, -1 / 10]), np.full(5, 0.01)
+    )
     moved = depths.moved(ray, gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 2.0])))
     assert moved.ids.tolist() == [0, 1]  # the third is 5 cm ahead, the fourth behind, the last never was in front
     assert moved.values == pytest.approx([1 / 8, 1 / 0.5])

@@ -25,7 +25,7 @@ class View(NamedTuple):
     @property
     def two_view(self) -> TwoView:
         baseline = self.motion.translation()
-        return TwoView(self.motion.rotation(), baseline / np.linalg.norm(baseline), np.eye(5), np.ones(1, bool))
+        return TwoView(self.motion.rotation(), baseline / np.linalg.norm(baseline), np.eye(5), np.ones(1, bool), 0.3)
 
     @property
     def baseline_per_height(self) -> float:
@@ -62,7 +62,7 @@ def tracks_on(view: View, normal: np.ndarray, seed: int = 0) -> tuple[np.ndarray
     ray = rays(view.camera, rng.uniform(0, (view.camera.width - 1, view.camera.height - 1), (300, 2)))
     values = view.baseline_per_height * ray @ normal
     ray, values = ray[values > 0], values[values > 0]
-    return ray, InverseDepths(np.arange(len(values)), values, np.full(len(values), 1e-3))
+    return ray, InverseDepths.independent(np.arange(len(values)), values, np.full(len(values), 1e-3))
 
 
 def measure(view: View, images, normal: np.ndarray, off: float | None = 1.05) -> GroundPlane | None:

@@ -48,6 +48,23 @@ def test_covariance_is_honest(camera, two_views, outliers):
     assert low < np.mean(values) < high  # measured 5.8 and 6.2
 
 
+def test_covariance_holds_the_errors_that_points_share(camera, two_views):
+    shared_sigma, honest, unaware = 0.02, [], []
+    for seed in range(100):
+        scene = two_views(MOTION, noise=0.1, seed=seed)
+        # All depths err with where the points are in the image, as they do by a wrong direction of travel.
+        pattern = np.column_stack([camera.normalize(scene.tracks.reference), np.ones(len(scene.points))])
+        shared = shared_sigma * scene.points[:, :, None] * pattern[:, None]
+        points = scene.points + shared @ np.random.default_rng(seed).standard_normal(3)
+        for values, told in ((honest, shared), (unaware, None)):
+            found, covariance, _ = locate(points, scene.tracks.current, camera, SETTINGS, seed, told)
+            error = gtsam.Pose3.Logmap(found.between(MOTION))
+            values.append(error @ np.linalg.solve(covariance, error))
+    low, high = nees_band(6, len(honest))
+    assert low < np.mean(honest) < high
+    assert np.mean(unaware) > 2 * high
+
+
 def test_outliers_are_found(camera, two_views):
     scene = two_views(MOTION, noise=0.1, outliers=0.2)
     ref_T_cur, _, inliers = locate(scene.points, scene.tracks.current, camera, SETTINGS, seed=0)

@@ -38,11 +38,11 @@ def world(camera, two_views):
     """Two views, their depths in baselines, and the true depths as a map with a scale variance."""
     scene = two_views(MOTION)
     tracks, length = scene.tracks, np.linalg.norm(MOTION.translation())
-    two_view = TwoView(MOTION.rotation(), MOTION.translation() / length, np.eye(5), np.ones(len(tracks), bool))
+    two_view = TwoView(MOTION.rotation(), MOTION.translation() / length, np.eye(5), np.ones(len(tracks), bool), 0.3)
     ray = rays(camera, tracks.reference)
     unit = triangulate(tracks.ids, ray, rays(camera, tracks.current), MOTION.rotation(), two_view.direction, camera.fx)
     depths = 1 / scene.points[:, 2]
-    known = MetricMap(InverseDepths(tracks.ids, depths, 0.01 * depths), 0.02**2)
+    known = MetricMap(InverseDepths.independent(tracks.ids, depths, 0.01 * depths), 0.02**2)
     return two_view, ray, unit, known
 
 
@@ -85,7 +85,7 @@ def test_map_with_wrong_points(world):
     _, _, _, known = world
     values = known.depths.values.copy()
     values[::4] *= 3.0  # a quarter of the points are something else
-    wrong = MetricMap(InverseDepths(known.depths.ids, values, known.depths.sigmas), known.variance)
+    wrong = MetricMap(InverseDepths.independent(known.depths.ids, values, known.depths.sigmas), known.variance)
     scale, _ = estimate(world, "map", known=wrong)
     assert scale.metres == pytest.approx(BASELINE, rel=0.01)  # measured
     assert abs(scale.metres / BASELINE - 1) > 1e-9

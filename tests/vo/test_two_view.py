@@ -1,5 +1,7 @@
 """Relative pose of two views: exact without noise, and as uncertain as it says with noise."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -106,6 +108,14 @@ def test_outliers_are_found(camera, two_views):
     assert estimate.inliers[~scene.is_outlier].mean() > 0.99
     assert estimate.inliers[scene.is_outlier].mean() < 0.06  # by chance on the epipolar line
     assert 1e-5 < np.abs(error_of(estimate, FORWARD)).max() < 0.005
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.2])
+def test_the_noise_is_told_by_the_inliers(camera, two_views, noise):
+    scene = two_views(FORWARD)
+    error = noise * np.random.default_rng(0).standard_normal(scene.tracks.current.shape)
+    tracks = replace(scene.tracks, current=scene.tracks.current + error)
+    assert estimate_two_view(tracks, camera, SETTINGS, 0).noise == pytest.approx(noise, rel=0.1)
 
 
 def test_the_same_seed_gives_the_same_bits(camera, two_views):
