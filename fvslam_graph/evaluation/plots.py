@@ -124,6 +124,8 @@ def plot_runs(
 
 def save(figure: Figure, stem: Path, suffixes: Sequence[str]) -> list[Path]:
     """Write a figure once for each suffix, always with the same bytes; returns the files."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # laid out once, and not for every format
     files = []
     for suffix in suffixes:
         files.append(stem.with_name(stem.name + suffix))

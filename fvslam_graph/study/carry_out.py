@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from fvslam_graph.study.declaration import Study
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.external import external_row
 from fvslam_graph.study.figures import SUFFIXES, draw_study
-from fvslam_graph.study.job import Row
+from fvslam_graph.study.job import Row, words
 from fvslam_graph.study.outcome import Outcome
 from fvslam_graph.study.report import write_report
 from fvslam_graph.study.statistics import differences
@@ -95,5 +94,5 @@ def _draw_trajectories(outcome: Outcome, sequence: str, others: list[Run], out: 
     runs += [run for run in others if run.info["sequence"] == sequence]
     if not runs:
         return []
-    folder = out / "figures" / re.sub(r"[^\w.-]+", "-", sequence)
+    folder = out / "figures" / words(sequence)
     return plot_runs(runs, folder, outcome.align, ("trajectory", "error"), SUFFIXES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -16,7 +15,7 @@ from fvslam_graph.complaints import complaint
 from fvslam_graph.config import Mode, load_config
 from fvslam_graph.errors import ConfigError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.job import Job, Source
+from fvslam_graph.study.job import Job, Source, words
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -180,7 +179,7 @@ def comparison(
 
 def default_folder(study: Study) -> Path:
     """Where a study is kept if nothing else is said."""
-    return Path("runs") / re.sub(r"[^\w.-]+", "-", study.name.lower())
+    return Path("runs") / words(study.name.lower())
 
 
 def _setting(name: str, value: Any) -> str:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import cv2
 
 from fvslam_graph.errors import FvslamError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.job import Job, Row, execute, kept
+from fvslam_graph.study.job import Job, Row, Source, execute, kept, render
 
 # Instead of dask's own, with which every large array is fetched from the system anew: rendering takes five
 # times as long.
@@ -52,16 +53,34 @@ def execute_all(
             pending[number] = folder
         else:
             yield number, row
+    images = runs.parent / "images"
     workers = min(workers or os.cpu_count() or 1, len(pending))
     if pending and (scheduler is not None or workers > 1):
-        yield from _distributed(jobs, pending, align, workers, scheduler)
+        yield from _distributed(jobs, pending, align, images, workers, scheduler)
     else:
+        yield from _one_by_one(jobs, pending, align, images)
+
+
+def _one_by_one(
+    jobs: Sequence[Job], pending: Mapping[int, Path], align: Alignment, images: Path
+) -> Iterator[tuple[int, Row]]:
+    """In this process."""
+    with _removed(images):
+        rendered: dict[Source, Path | None] = {}
         for number, folder in pending.items():
-            yield number, _attempt(jobs[number], folder, align)
+            source = jobs[number].source
+            if source not in rendered:
+                rendered[source] = render(source, images)
+            yield number, _attempt(jobs[number], folder, align, rendered[source])
 
 
 def _distributed(
-    jobs: Sequence[Job], pending: Mapping[int, Path], align: Alignment, workers: int, scheduler: str | None
+    jobs: Sequence[Job],
+    pending: Mapping[int, Path],
+    align: Alignment,
+    images: Path,
+    workers: int,
+    scheduler: str | None,
 ) -> Iterator[tuple[int, Row]]:
     """On dask: a cluster of processes on this machine, or one that exists."""
     import dask
@@ -83,9 +102,20 @@ def _distributed(
                 raise StudyError(
                     f"no dask scheduler answers at {scheduler}; start one, or leave the address out"
                 ) from None
+        stack.enter_context(_removed(images))
+        sources = dict.fromkeys(jobs[number].source for number in pending)
+        rendered = {source: client.submit(render, source, images.absolute(), pure=False) for source in sources}
         # In the order of the jobs, so that a worker stays with a recording that it has opened.
         numbers = {
-            client.submit(_on_worker, jobs[number], folder.absolute(), align, key=folder.name, priority=-number): number
+            client.submit(
+                _on_worker,
+                jobs[number],
+                folder.absolute(),
+                align,
+                rendered[jobs[number].source],
+                key=folder.name,
+                priority=-number,
+            ): number
             for number, folder in pending.items()
         }
         for future in as_completed(numbers):
@@ -93,14 +123,24 @@ def _distributed(
             yield number, future.result() if error is None else _failed(jobs[number], error)
 
 
-def _on_worker(job: Job, folder: Path, align: Alignment) -> Row:
-    cv2.setNumThreads(1)  # as many runs as cores go on at once
-    return _attempt(job, folder, align)
-
-
-def _attempt(job: Job, folder: Path, align: Alignment) -> Row:
+@contextmanager
+def _removed(images: Path) -> Iterator[None]:
+    """Rendered images are kept no longer than they are needed; those of a study that was killed are in the way."""
+    shutil.rmtree(images, ignore_errors=True)
     try:
-        return execute(job, folder, align)
+        yield
+    finally:
+        shutil.rmtree(images, ignore_errors=True)
+
+
+def _on_worker(job: Job, folder: Path, align: Alignment, rendered: Path | None) -> Row:
+    cv2.setNumThreads(1)  # as many runs as cores go on at once
+    return _attempt(job, folder, align, rendered)
+
+
+def _attempt(job: Job, folder: Path, align: Alignment, rendered: Path | None) -> Row:
+    try:
+        return execute(job, folder, align, rendered)
     except Exception as error:  # one run that fails must not end the study
         return _failed(job, error)
 

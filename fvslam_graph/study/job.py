@@ -19,7 +19,7 @@ from fvslam_graph.errors import FvslamError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation, evaluate
 from fvslam_graph.evaluation.runs import evaluate_run
-from fvslam_graph.files import write_json
+from fvslam_graph.files import replacing, write_json
 from fvslam_graph.pipeline import applicable, estimate, facts
 from fvslam_graph.provenance import forget_peak_memory, provenance
 from fvslam_graph.results import Run
@@ -28,7 +28,7 @@ from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.trajectory import Status
 
-KEPT_PIXELS = 5e8  # of rendered images, a byte each
+LARGEST = 2e9  # bytes of rendered images
 
 Row = dict[str, Any]
 """One run as numbers and words, by column; see `row_of`."""
@@ -82,8 +82,8 @@ class Job:
         """
         depends_on = [_fingerprint(self.source), _code(), self.config.model_dump_json()]
         digest = hashlib.blake2b(json.dumps(depends_on).encode(), digest_size=8).hexdigest()
-        words = f"{self.source.label}-{self.config.mode}-{self.config.preset}-{self.variant}-{self.config.seed}"
-        return runs / f"{re.sub(r'[^a-zA-Z0-9.]+', '-', words)}-{digest}"
+        parts = (self.source.label, self.config.mode, self.config.preset, self.variant, self.config.seed, digest)
+        return runs / words("-".join(str(part) for part in parts if part != ""))
 
     def labels(self) -> Row:
         """The columns that say which run a row is."""
@@ -96,8 +96,35 @@ class Job:
         }
 
 
-def execute(job: Job, folder: Path, align: Alignment) -> Row:
+def render(source: Source, folder: Path) -> Path | None:
+    """Render the images of a synthetic world into a file, since that takes longer than a run on them.
+
+    Returns:
+        The file; None for recordings, and for worlds too large to be kept.
+    """
+    sequence = source.open()
+    size = (len(sequence), sequence.camera.height, sequence.camera.width)
+    if not source.path.startswith("synthetic:") or np.prod(size) > LARGEST:
+        return None
+    images, usable = np.zeros(size, np.uint8), np.zeros(len(sequence), bool)
+    for index in range(len(sequence)):
+        image = sequence.load(index)
+        if image is not None:
+            images[index], usable[index] = image, True
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(folder / f"{words(source.label)}.npz") as path:
+        np.savez(path, images=images, usable=usable)
+    return folder / f"{words(source.label)}.npz"
+
+
+def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = None) -> Row:
     """Run, unless the folder holds the finished run, and evaluate; the row is kept in the folder, too.
+
+    Args:
+        job: The run.
+        folder: Of the run.
+        align: For the evaluation.
+        rendered: What `render` returned for the source; without it, images are read or rendered one by one.
 
     Raises:
         FvslamError: The source cannot be opened or the folder not written.
@@ -105,7 +132,7 @@ def execute(job: Job, folder: Path, align: Alignment) -> Row:
     if (row := kept(folder, align)) is not None:
         return row
     if not _finished(folder):
-        sequence = _opened(job.source)
+        sequence = _opened(job.source, rendered)
         config = applicable(job.config, sequence)
         forget_peak_memory()
         source = job.source.model_dump(exclude={"name"})
@@ -192,6 +219,11 @@ METRICS = (
 )
 
 
+def words(text: str) -> str:
+    """The text as a file's name."""
+    return re.sub(r"[^a-zA-Z0-9.]+", "-", text)
+
+
 def _rmse(evaluation: Evaluation, name: str) -> float:
     return float(evaluation.errors[name].stats["rmse"]) if name in evaluation.errors else np.nan
 
@@ -208,12 +240,13 @@ def _finished(folder: Path) -> bool:
 
 
 @lru_cache(maxsize=1)  # jobs come sequence by sequence
-def _opened(source: Source) -> Sequence:
+def _opened(source: Source, rendered: Path | None) -> Sequence:
     sequence = source.open()
-    pixels = len(sequence) * sequence.camera.width * sequence.camera.height
-    if source.path.startswith("synthetic:") and pixels <= KEPT_PIXELS:  # rendering one takes longer than using it
-        return replace(sequence, load=[sequence.load(index) for index in range(len(sequence))].__getitem__)
-    return sequence
+    if rendered is None:
+        return sequence
+    with np.load(rendered) as file:
+        images, usable = file["images"], file["usable"]
+    return replace(sequence, load=lambda index: images[index] if usable[index] else None)
 
 
 @cache

@@ -64,9 +64,9 @@ def test_killed_and_started_again(jobs, serial, tmp_path, monkeypatch):
 
     executed = []
 
-    def spy(one, folder, align, execute=execution.execute):
+    def spy(one, folder, align, rendered, execute=execution.execute):
         executed.append(jobs.index(one))
-        return execute(one, folder, align)
+        return execute(one, folder, align, rendered)
 
     monkeypatch.setattr(execution, "execute", spy)
     rows = dict(execute_all(jobs, tmp_path / "runs", SIM3, workers=1))
@@ -77,10 +77,10 @@ def test_killed_and_started_again(jobs, serial, tmp_path, monkeypatch):
 def test_a_run_that_fails_is_a_row_with_its_reason(job, tmp_path, monkeypatch):
     jobs = [job(path=str(tmp_path / "absent")), job("scale.source=oracle"), job()]
 
-    def fails(one, folder, align, execute=execution.execute):
+    def fails(one, folder, align, rendered, execute=execution.execute):
         if one.config.scale.source == "oracle":
             raise MemoryError
-        return execute(one, folder, align)
+        return execute(one, folder, align, rendered)
 
     monkeypatch.setattr(execution, "execute", fails)
     rows = dict(execute_all(jobs, tmp_path / "runs", SIM3, workers=1))
