@@ -99,7 +99,7 @@ def test_known_depths_share_the_errors_of_a_motion(random_state, camera):
     grown = with_new_landmarks(state, IDS, PIXELS, known_depths(points, camera, len(state.covariance)), camera, 0.5)
     grown.check()
     stretch = np.linalg.norm(np.column_stack([camera.normalize(PIXELS), np.ones(3)]), axis=1)
-    rows = grown.offsets[np.isin(grown.ids, IDS)] + 5
+    rows = grown.parts[1][np.isin(grown.ids[: len(grown.rays)], IDS), 2]
     uncertain_scale = np.outer(points.inverse_depths, points.inverse_depths) * state.covariance[SCALE, SCALE]
     expected = (1e-4 * np.eye(3) + shared @ shared.T + uncertain_scale) / np.outer(stretch, stretch)
     assert grown.covariance[np.ix_(rows, rows)] == pytest.approx(expected)
