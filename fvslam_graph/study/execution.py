@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import shutil
+import signal
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -89,12 +91,11 @@ def _distributed(
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT}))
-            cluster = stack.enter_context(
-                LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+            with _ignoring_interrupts():
+                cluster = LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
                 )
-            )
-            client = stack.enter_context(Client(cluster))
+                client = stack.enter_context(Client(stack.enter_context(cluster)))
         else:
             try:
                 client = stack.enter_context(Client(scheduler, timeout=PATIENCE))
@@ -121,6 +122,19 @@ def _distributed(
         for future in as_completed(numbers):
             number, error = numbers[future], future.exception()  # of a worker that died, above all
             yield number, future.result() if error is None else _failed(jobs[number], error)
+
+
+@contextmanager
+def _ignoring_interrupts() -> Iterator[None]:
+    """Processes that begin in the block ignore Ctrl-C, which this one answers for all."""
+    if threading.current_thread() is not threading.main_thread():  # where there is no Ctrl-C either
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

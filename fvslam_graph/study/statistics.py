@@ -134,6 +134,6 @@ def _better(found: Sequence[Difference]) -> Iterator[str]:
         if difference.significant:
             a, b, ratio = difference.a, difference.b, difference.ratio
             better, other = (a, b) if ratio < 1 else (b, a)
-            worse.setdefault(better, []).append(f"{other} ({100 * (1 - min(ratio, 1 / ratio)):.0f} %)")
+            worse.setdefault(better, []).append(f"{other} ({100 * (1 - min(ratio, 1 / ratio)):.2g} %)")
     for better, others in worse.items():
         yield f"{better} is better than {', '.join(others)}"
