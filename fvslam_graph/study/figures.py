@@ -81,8 +81,7 @@ def _accuracy(outcome: Outcome) -> Figure:
             axes.plot(group["ape"], [row] * len(group), ".", color=colour, alpha=0.5)
             axes.plot(group["ape"].median(), row, "|", color=colour, markersize=14, markeredgewidth=2)
         axes.set(title=sequence, xlabel="APE (m)", yticks=range(len(labels)), yticklabels=labels)
-        axes.set_xlim(0, 1.05 * runs["ape"].max())
-        axes.invert_yaxis()
+        axes.set(xlim=(0, 1.05 * runs["ape"].max()), ylim=(len(labels) - 0.5, -0.5))
     figure.suptitle(
         f"online trajectories, {outcome.align} alignment; one dot a seed, a bar for the median", fontsize=10
     )
@@ -126,6 +125,6 @@ def _differences(found: Sequence[Difference]) -> Figure:
         axes.axvline(1, color="black", linewidth=0.8)
         axes.set(title=sequence, xlabel=f"ratio of {COMPARED['ape']}")
         axes.set(yticks=range(len(pairs)), yticklabels=[f"{a} / {b}" for a, b in pairs])
-    panels[0].invert_yaxis()
+    panels[0].set_ylim(len(pairs) - 0.5, -0.5)
     figure.suptitle("below 1: the first is better; grey: not significant", fontsize=10)
     return figure
