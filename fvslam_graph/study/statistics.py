@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -34,7 +34,7 @@ class Difference:
 
     Attributes:
         metric: Column of the results.
-        sequence: Or ALL.
+        sequence: Or ALL; with preset and variant where a study has several.
         a, b: The modes.
         ratio: Geometric mean of a / b; below 1, a is better.
         low, high: Its interval; NaN where there are too few pairs for one.
@@ -64,12 +64,19 @@ def differences(outcome: Outcome, seed: int = 0) -> list[Difference]:
         seed: Of the resampling.
     """
     own = outcome.finished[outcome.finished["preset"] != EXTERNAL]
-    return [difference for metric in COMPARED for difference in _of_metric(own, metric, seed)]
+    alike = own.groupby(["preset", "variant"], sort=False)  # runs with other settings are not of the same kind
+    return [
+        replace(difference, sequence=", ".join((difference.sequence, *settings)))
+        for metric in COMPARED
+        for labels, runs in alike
+        for settings in [[label for label in labels if label and len(alike) > 1]]
+        for difference in _of_metric(runs, metric, seed)
+    ]
 
 
 def _of_metric(own: pd.DataFrame, metric: str, seed: int) -> Iterator[Difference]:
     logs = own.assign(log=np.log(own[metric].where(own[metric] > 0)))
-    paired = logs.pivot_table("log", ["sequence", "preset", "variant", "seed"], "mode", sort=False)
+    paired = logs.pivot_table("log", ["sequence", "seed"], "mode", sort=False)
     for a, b in combinations([mode for mode in own["mode"].unique() if mode in paired], 2):
         pairs = (paired[a] - paired[b]).dropna()
         by_sequence = {name: group.to_numpy() for name, group in pairs.groupby("sequence", sort=False)}
@@ -119,7 +126,7 @@ def verdicts(found: Sequence[Difference]) -> list[str]:
         here = [difference for difference in found if (difference.metric, difference.sequence) == (metric, sequence)]
         unclear = ", ".join(f"{difference.a} and {difference.b}" for difference in here if not difference.significant)
         if any(np.isnan(difference.low) for difference in here):
-            what = "sequences" if sequence == ALL else "seeds"
+            what = "sequences" if sequence.startswith(ALL) else "seeds"
             said = f"fewer than {ENOUGH} {what}, too few to tell a difference from chance"
         else:
             said = "; ".join((*_better(here), f"not significant: {unclear}" if unclear else "all are significant"))

@@ -72,6 +72,15 @@ def test_failed_runs_and_other_systems_have_no_pair():
     assert {(d.a, d.b, d.pairs) for d in found} == {("vo", "graph", 5)}
 
 
+def test_runs_with_other_settings_are_not_mixed():
+    rows = []
+    for preset, gain in (("tuned", 0.5), ("paper", 2.0)):
+        table = outcome({"vo": np.ones(5), "graph": gain * np.ones(5)}).table
+        rows += table.assign(preset=preset).to_dict("records")
+    found = differences(Outcome.of(rows, Alignment.SIM3))
+    assert {(d.sequence, round(d.ratio, 6)) for d in found if d.metric == "ape"} == {("a, tuned", 2), ("a, paper", 0.5)}
+
+
 def test_it_is_said_in_words_and_in_a_table():
     rng = np.random.default_rng(3)
     noise = np.exp(0.05 * rng.standard_normal((3, 10)))
