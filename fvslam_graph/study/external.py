@@ -48,7 +48,10 @@ def external_run(name: str, file: str, sequence: Sequence) -> Run:
         ground_truth=sequence.ground_truth,
         frames={},
         config={},
-        info={"status": "finished", "sequence": sequence.name, "mode": name, "frames": len(sequence)},
+        info={
+            **{"status": "finished", "sequence": sequence.name, "mode": name, "frames": len(sequence)},
+            "scale_source": EXTERNAL,
+        },
         relatives=None,
     )
 
