@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,21 +73,18 @@ class Outcome:
             "truth. ms/frame: mean without reading images."
         )
 
-    def groups(self) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
-        """Runs that differ in nothing but the seed, with what they have in common."""
-        for labels, group in self.table.groupby(list(LABELS), sort=False):
-            yield dict(zip(LABELS, labels, strict=True)), group
-
     def summary(self) -> Table:
         """One row for each sequence, mode, preset and variant: median and range over the seeds."""
         own = self.table[self.table["preset"] != EXTERNAL]
         shown = [label for label in LABELS if label == "mode" or own[label].nunique() > 1]
         rows = []
-        for labels, group in self.groups():
+        for common, group in self.table.groupby(list(LABELS), sort=False):
+            labels = dict(zip(LABELS, common, strict=True))
             finished = group[group["status"] == "finished"]
             runs = f"{len(finished)}/{len(group)}"
             cells = [spread(finished[key] * factor, digits) for key, (_, digits, factor) in _SUMMARY.items()]
-            rows.append([*(labels[label] for label in shown), *_common(finished["scale_source"]), runs, *cells])
+            scale = "/".join(sorted(set(finished["scale_source"]) - {""})) or "-"
+            rows.append([*(labels[label] for label in shown), scale, runs, *cells])
         columns = (*shown, "scale", "runs", *(name for name, _, _ in _SUMMARY.values()))
         return Table(columns, rows, len(shown) + 2, self.caption)
 
@@ -122,7 +119,3 @@ def spread(values: Iterable[float], style: str = ".3f") -> str:
         return "-"
     median, low, high = (f"{value:{style}}" for value in (np.median(known), known.min(), known.max()))
     return median if low == high else f"{median} ({low}-{high})"
-
-
-def _common(values: pd.Series) -> tuple[str]:
-    return ("/".join(sorted(set(values) - {""})) or "-",)
