@@ -72,8 +72,10 @@ class ScaleSettings(_Group):
     """Metres per unit baseline."""
 
     source: ScaleSource = ScaleSource.PLANE
-    plane_sigma: PositiveFloat = 0.05  # of log scale from one view of the plane, with what neighbouring views share
-    map_sigma: PositiveFloat = 0.005  # of log scale, added for each keyframe over which the map carries it
+    plane_sigma: PositiveFloat = 0.02  # of log scale from one view of the plane,
+    shared_sigma: PositiveFloat = 0.04  # and of what it has in common with neighbouring views,
+    shared_keyframes: PositiveFloat = 5.0  # which decays to a third over so many
+    map_sigma: PositiveFloat = 0.006  # of log scale, added for each keyframe over which the map carries it
     ground: GroundSettings = GroundSettings()
 
 
@@ -129,6 +131,8 @@ class GraphSettings(_Group):
     # No pixel counts twice: tracks that are landmarks are left out of odometry, or odometry counts for less.
     counting: Literal["disjoint", "deflated", "double"] = "disjoint"
     deflation: PositiveFloat = 2.0  # of the covariance of odometry, where `deflated`
+    # Of the variance of odometry's scale, what a motion errs on its own; the rest it shares with those around it.
+    scale_share: float = Field(0.25, gt=0, le=1)
     # What the online pose is: the last one and the motion since (P_f), or where the graph now has the camera.
     online: Literal["motion", "pose"] = "motion"
     pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark aligned with its reference patch, along each axis

@@ -132,7 +132,8 @@ def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None
 
 def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Sequence) -> None:
     """A frame with what odometry says of it, for the factor graph."""
-    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, odometry.measured)
+    scale_variance = odometry.map.variance
+    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, odometry.measured, scale_variance)
     if graph.settings.heights and sequence.ground is not None and frame.height > 0:
         graph.add_height(frame.height, frame.height_sigma, sequence.ground.normal)
 

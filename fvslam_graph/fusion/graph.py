@@ -56,7 +56,12 @@ class Graph:
         self._begin_batch()
 
     def add_odometry(
-        self, stamp: float, previous: int, prev_T_cur: GaussianPose, length: LogScale | None = None
+        self,
+        stamp: float,
+        previous: int,
+        prev_T_cur: GaussianPose,
+        length: LogScale | None = None,
+        scale_variance: float = 0.0,
     ) -> None:
         """The next frame, with its motion since an earlier one.
 
@@ -65,6 +70,7 @@ class Graph:
             previous: The frame that the motion starts from.
             prev_T_cur: The motion.
             length: What the scale source says about its length; None where it does not speak.
+            scale_variance: How much of the covariance is due to the logarithm of the scale.
         """
         index = len(self._poses)
         self._stamps.append(stamp)
@@ -73,7 +79,10 @@ class Graph:
             self.add(pose_factor(0, GaussianPose.identity()))
         else:
             motion = self._plausibility.checked(prev_T_cur, stamp - self._stamps[previous])
-            length = length if motion is prev_T_cur else None
+            if motion is prev_T_cur:
+                motion = _relative(motion, (1 - self.settings.scale_share) * scale_variance)
+            else:
+                length = None
             self._poses.append(self._poses[previous].compose(motion.mean))
             if self.settings.lag is not None and stamp - self._stamps[previous] > self.settings.lag:
                 # What odometry refers to is no longer kept: a camera that stands still has an old reference.
@@ -196,6 +205,16 @@ class Graph:
         """What the next update of the solver takes in."""
         self._factors, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._seen: dict[int, float] = {}
+
+
+def _relative(motion: GaussianPose, variance: float) -> GaussianPose:
+    """The motion without a variance of log scale that it shares with the motions around it.
+
+    A scale that all have in common is that of the whole, and bends nothing. Were it taken as each one's own, landmarks,
+    whose own errors are smaller, would decide the lengths of motions against each other, which odometry knows better.
+    """
+    travel = np.concatenate([np.zeros(3), motion.mean.rotation().unrotate(motion.mean.translation())])
+    return GaussianPose(motion.mean, motion.covariance - variance * np.outer(travel, travel))
 
 
 def _motion(solver: Solver, first: int, second: int, a: gtsam.Pose3, b: gtsam.Pose3) -> GaussianPose:

@@ -13,8 +13,6 @@ from fvslam_graph.slam.covariances import sparse_rows, symmetric, transformed
 from fvslam_graph.slam.landmarks import Array, points_seen_from, rays_seen_from
 from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State
 
-LENGTH_SIGMA = 0.1  # of the logarithm of a length whose errors are alike for long
-
 
 def predict_constant_velocity(state: State, seconds: float, settings: SlamSettings, surprise: float = 1.0) -> State:
     """The velocity of the next step: that of the last one, driven by white noise `surprise` times as strong as usual.
@@ -40,16 +38,6 @@ def predict_from_odometry(state: State, prev_T_cur: GaussianPose, seconds: float
     own = whole[SCALE, SCALE] * np.outer(by_scale, by_scale) + by_motion @ prev_T_cur.covariance @ by_motion.T
     whole[VELOCITY, VELOCITY] = symmetric(own)
     return replace(state, velocity=velocity, covariance=whole)
-
-
-def vague_about_length(motion: GaussianPose) -> GaussianPose:
-    """The motion with its length hardly known.
-
-    Odometry errs about the scale for long in the same way. Each length would tell the same once more, and the map,
-    which carries a scale of its own, would become sure of a wrong one.
-    """
-    ahead = np.concatenate([np.zeros(3), motion.mean.rotation().unrotate(motion.mean.translation())])
-    return GaussianPose(motion.mean, motion.covariance + LENGTH_SIGMA**2 * np.outer(ahead, ahead))
 
 
 def travelled(velocity: Array, seconds: float) -> tuple[gtsam.Pose3, Array]:

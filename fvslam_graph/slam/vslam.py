@@ -28,7 +28,6 @@ from fvslam_graph.slam.motion import (
     predict_from_odometry,
     reanchored,
     travelled,
-    vague_about_length,
 )
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
 from fvslam_graph.slam.records import NO_TRACK
@@ -124,7 +123,7 @@ class VSlam:
                 surprise = SURPRISE if self._failures else 1.0
                 state = predict_constant_velocity(self._state, seconds, self.settings, surprise)
             else:
-                state = predict_from_odometry(self._state, vague_about_length(odometry), seconds)
+                state = predict_from_odometry(self._state, odometry, seconds)
             prediction = predict_pixels(state, seconds, self.camera)
             visible = prediction.in_front & self.camera.contains(prediction.pixels, MARGIN)
             ellipses = prediction.innovation_covariances(state, np.ones(len(state), bool), sigma)

@@ -15,6 +15,7 @@ from fvslam_graph.estimates import LogScale
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.vo.depth import InverseDepths
 from fvslam_graph.vo.ground import GroundAligner
+from fvslam_graph.vo.scale_filter import ScaleFilter
 from fvslam_graph.vo.two_view import TwoView
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
@@ -66,6 +67,7 @@ class MetricScale:
         self.settings = settings
         self._aligner = aligner
         self._true_baseline = true_baseline
+        self._filter = ScaleFilter(settings)
 
     def estimate(
         self,
@@ -80,8 +82,8 @@ class MetricScale:
     ) -> tuple[LogScale, MetricMap, LogScale | None]:
         """Scale of the baseline between two frames, and the map with this scale.
 
-        The map predicts the scale, the source measures it, and both are fused as in a one-dimensional Kalman filter:
-        so one source pools many frames. What is learnt holds for the whole map, as all its depths share one scale.
+        The map predicts the scale, the source measures it, and a Kalman filter fuses both: so one source pools many
+        frames. What is learnt holds for the whole map, as all its depths share one scale.
 
         Args:
             previous, current: The two frames.
@@ -98,6 +100,8 @@ class MetricScale:
         """
         ratio = self._ratio(unit, known.depths)
         predicted = fallback if ratio is None else LogScale(ratio.mean, ratio.variance + known.variance)
+        if ratio is None:
+            self._filter.forget()
         measured: LogScale | None = None
         if self.settings.source is ScaleSource.UNIT:
             scale = LogScale(0.0, 1.0)
@@ -107,8 +111,9 @@ class MetricScale:
             measured = LogScale(math.log(baseline), ORACLE_VARIANCE) if baseline > 0 else None
             scale = measured or predicted
         else:
-            measured = self._from_plane(previous, current, two_view, rays, unit, predicted, rng)
-            scale = predicted if measured is None else predicted.fused(measured)
+            plane = self._from_plane(previous, current, two_view, rays, unit, predicted, rng)
+            scale = self._filter.update(predicted, plane)
+            measured = plane and LogScale(plane.mean, plane.variance + self.settings.shared_sigma**2)
         old = known.depths if ratio is None else known.depths.scaled(scale.metres / predicted.metres)
         new = unit.scaled(scale.metres)
         return scale, MetricMap(old.fused(new[new.values > 0]), scale.variance), measured
@@ -140,6 +145,7 @@ class MetricScale:
         predicted: LogScale,
         rng: np.random.Generator,
     ) -> LogScale | None:
+        """By one view of the ground, with the variance of what its neighbours do not err about likewise."""
         height = previous.height
         if self._aligner is None or previous.image is None or current.image is None or not height > 0:
             return None

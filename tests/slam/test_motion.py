@@ -7,14 +7,12 @@ import pytest
 from fvslam_graph.config import SlamSettings
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.slam.motion import (
-    LENGTH_SIGMA,
     compose,
     last_motion,
     predict_constant_velocity,
     predict_from_odometry,
     reanchored,
     travelled,
-    vague_about_length,
 )
 from fvslam_graph.slam.state import POSE, SCALE, VELOCITY
 
@@ -93,14 +91,3 @@ def test_reanchoring_leaves_the_map_as_it_is(random_state):
     assert np.array_equal(anchored.covariance[POSE, POSE], pose.covariance)
     assert np.all(anchored.covariance[POSE, 6:] == 0)
     assert anchored.world_T_camera.equals(pose.mean, 0)
-
-
-def test_vague_about_length():
-    motion = GaussianPose(gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([1.0, 0.5, 2.0])), 1e-6 * np.eye(6))
-    vague = vague_about_length(motion)
-    assert vague.mean.equals(motion.mean, 0)
-    ahead = motion.mean.rotation().unrotate(motion.mean.translation())
-    length = np.linalg.norm(ahead)
-    added = (vague.covariance - motion.covariance)[3:, 3:]
-    assert ahead @ added @ ahead / length**2 == pytest.approx((LENGTH_SIGMA * length) ** 2)
-    assert np.linalg.matrix_rank(added) == 1

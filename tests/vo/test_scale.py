@@ -137,9 +137,9 @@ def test_oracle_without_an_answer(world, answer):
 
 def test_plane_and_map_are_fused(world):
     plumb = Plumb(1.3 * BASELINE / HEIGHT, 0.01**2)
-    scale, learnt = estimate(world, "plane", aligner=plumb, plane_sigma=0.05, map_sigma=0.005)
+    scale, learnt = estimate(world, "plane", aligner=plumb, plane_sigma=0.03, shared_sigma=0.04, map_sigma=0.005)
     predicted = LogScale(math.log(BASELINE), 0.02**2 + 0.005**2)
-    fused = predicted.fused(LogScale(math.log(1.3 * BASELINE), 0.01**2 + 0.05**2))
+    fused = predicted.fused(LogScale(math.log(1.3 * BASELINE), 0.01**2 + 0.03**2 + 0.04**2))
     assert scale.mean == pytest.approx(fused.mean, rel=1e-6)
     assert scale.variance == pytest.approx(fused.variance, rel=1e-6)
     assert plumb.expected == [pytest.approx(BASELINE / HEIGHT)]
@@ -151,7 +151,7 @@ def test_plane_alone(world):
     plumb = Plumb(BASELINE / HEIGHT, 0.01**2)
     scale, _ = estimate(world, "plane", known=MetricMap.empty(), aligner=plumb)
     assert scale.metres == pytest.approx(BASELINE, rel=0.01)  # pulled a little by the vague fallback
-    assert scale.variance == pytest.approx(0.01**2 + 0.05**2, rel=0.01)
+    assert scale.variance == pytest.approx(0.01**2 + 0.02**2 + 0.04**2, rel=0.01)
     assert plumb.expected == [None]  # so vague a prediction does not lead to the ground
 
 
@@ -162,8 +162,8 @@ def test_an_uncertain_height_makes_an_uncertain_scale(world):
     scale, _, measured = metric.estimate(
         *frames, two_view, ray, unit, MetricMap.empty(), LogScale(0.0, 1e6), np.random.default_rng(0)
     )
-    assert scale.variance == pytest.approx(0.1**2 + 0.05**2, rel=1e-3)
-    assert measured is not None and measured.variance == pytest.approx(0.1**2 + 0.05**2)
+    assert scale.variance == pytest.approx(0.1**2 + 0.02**2 + 0.04**2, rel=1e-3)
+    assert measured is not None and measured.variance == pytest.approx(0.1**2 + 0.02**2 + 0.04**2)
 
 
 @pytest.mark.parametrize("height", [math.nan, 0.0, -1.0])

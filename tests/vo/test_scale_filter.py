@@ -1,0 +1,70 @@
+"""The filter of the map's scale: optimal and honest where its model holds."""
+
+import numpy as np
+import pytest
+
+from fvslam_graph.config import ScaleSettings
+from fvslam_graph.estimates import LogScale
+from fvslam_graph.vo.scale_filter import ScaleFilter
+
+SETTINGS = ScaleSettings(plane_sigma=0.02, shared_sigma=0.04, shared_keyframes=5.0, map_sigma=0.006)
+START = 0.05  # deviation of the first scale
+KEYFRAMES, RUNS = 60, 400
+
+
+def drive(settings: ScaleSettings, seed: int, silent=range(0)) -> tuple[float, float]:
+    """Error of the scale and its variance after some keyframes of a world that is as SETTINGS say."""
+    rng = np.random.default_rng(seed)
+    scales = ScaleFilter(settings)
+    decay = np.exp(-1 / SETTINGS.shared_keyframes)
+    shared = SETTINGS.shared_sigma * rng.standard_normal()
+    error, variance = START * rng.standard_normal(), START**2
+    for keyframe in range(KEYFRAMES):
+        shared = decay * shared + np.sqrt(1 - decay**2) * SETTINGS.shared_sigma * rng.standard_normal()
+        error += SETTINGS.map_sigma * rng.standard_normal()
+        variance += SETTINGS.map_sigma**2
+        plane = LogScale(shared + SETTINGS.plane_sigma * rng.standard_normal(), SETTINGS.plane_sigma**2)
+        scale = scales.update(LogScale(error, variance), None if keyframe in silent else plane)
+        error, variance = scale.mean, scale.variance
+    return error, variance
+
+
+@pytest.mark.parametrize("silent", [range(0), range(40, 50)])
+def test_it_is_honest(silent):
+    errors, variances = np.array([drive(SETTINGS, seed, silent) for seed in range(RUNS)]).T
+    assert np.mean(errors**2 / variances) == pytest.approx(1.0, abs=0.2)  # 400 runs: 0.07 is one deviation
+    assert np.std(errors) < 0.03  # from 5 %
+
+
+def test_independent_errors_would_be_too_sure():
+    """Why there is a second state: the same world, and a filter that knows the same sizes, but not what lasts."""
+    alone = SETTINGS.model_copy(update={"shared_sigma": 1e-6, "plane_sigma": 0.045})
+    errors, variances = np.array([drive(alone, seed) for seed in range(RUNS)]).T
+    assert np.mean(errors**2 / variances) > 1.5
+
+
+def test_without_a_shared_error_it_is_the_kalman_filter():
+    scales = ScaleFilter(SETTINGS.model_copy(update={"shared_sigma": 1e-9}))
+    predicted, measured = LogScale(1.0, 0.04), LogScale(2.0, 0.01)
+    for _ in range(3):
+        updated = scales.update(predicted, measured)
+        assert updated.mean == pytest.approx(predicted.fused(measured).mean, abs=1e-9)
+        assert updated.variance == pytest.approx(predicted.fused(measured).variance, abs=1e-9)
+        predicted = updated
+
+
+def test_what_is_known_of_the_shared_error_outlasts_the_map():
+    """A new map knows nothing of the scale, but the ground is still as wrong as it was."""
+    scales = ScaleFilter(SETTINGS)
+    for _ in range(30):
+        scales.update(LogScale(0.0, 1e-8), LogScale(0.1, 1e-4))  # a certain map: the ground looks 10 % too large
+    scales.forget()
+    fresh = scales.update(LogScale(0.0, 1.0), LogScale(0.1, 1e-4))
+    assert fresh.mean == pytest.approx(0.1 * (1 - np.exp(-1 / SETTINGS.shared_keyframes)), abs=0.01)
+    naive = ScaleFilter(SETTINGS).update(LogScale(0.0, 1.0), LogScale(0.1, 1e-4))
+    assert naive.mean == pytest.approx(0.1, abs=0.01)
+
+
+def test_nothing_measured_changes_nothing():
+    predicted = LogScale(0.3, 0.01)
+    assert ScaleFilter(SETTINGS).update(predicted, None) == predicted
