@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 
 import gtsam
@@ -18,6 +19,7 @@ from fvslam_graph.sequences.points import PointScene
 from fvslam_graph.slam.estimate import SlamEstimate
 from fvslam_graph.slam.scene_finder import SceneFinder, known_points
 from fvslam_graph.slam.vslam import VSlam
+from fvslam_graph.vo.scale import ORACLE_VARIANCE
 
 DEPTH_SIGMA = 0.05  # of the logarithm of the first landmarks' inverse depths, each on its own
 SCALE_SIGMA = 0.03  # of the logarithm of the scale that they share
@@ -58,13 +60,21 @@ def run_vslam(
 def run(scene: PointScene, config: Config, wrong: float = 0.0) -> Iterator[FrameResult]:
     """Any mode on a scene: the loop that runs on images, with other eyes.
 
+    The scale source `oracle` errs by as much as it says; were it exact, an honest covariance would look careful.
+
     Args:
         scene: Landmarks and camera path.
         config: Mode, settings and seed; the scale source `plane` needs images, so that `oracle` is for scenes.
         wrong: Share of the matches that are wrong.
     """
     tracker = SceneTracker(scene, config.features.count, wrong, config.seed)
-    eyes = Eyes(tracker, SceneFinder(scene, wrong, config.seed))
+    positions = scene.trajectory.positions
+
+    def baseline(a: int, b: int) -> float:
+        error = math.sqrt(ORACLE_VARIANCE) * np.random.default_rng([config.seed, 3, a, b]).standard_normal()
+        return float(np.linalg.norm(positions[b] - positions[a]) * math.exp(error))
+
+    eyes = Eyes(tracker, SceneFinder(scene, wrong, config.seed), baseline)
     return estimate(scene.sequence("points"), config, eyes)
 
 

@@ -38,10 +38,17 @@ SLAM_STAGES = ("filter", "search", "map")
 
 @dataclass(frozen=True)
 class Eyes:
-    """What finds points in images: for odometry, and for visual SLAM."""
+    """What is seen, in place of images.
+
+    Attributes:
+        association: Finds points for odometry,
+        finder: and for visual SLAM.
+        baseline: What the scale source `oracle` says of the distance between two frames by index, metres.
+    """
 
     association: Association
     finder: LandmarkFinder
+    baseline: Callable[[int, int], float]
 
 
 def stages(config: Config) -> tuple[str, ...]:
@@ -56,13 +63,13 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
     Args:
         sequence: Its frames are read one by one.
         config: Mode, settings and seed.
-        eyes: What finds points in images, in place of what the settings say.
+        eyes: What is seen, in place of images.
 
     Raises:
         ConfigError: The scale source needs what the sequence does not have.
     """
-    baseline, association = _true_baseline(sequence, config), eyes.association if eyes else None
-    vo = VisualOdometry(sequence.camera, config, sequence.ground, baseline, association)
+    baseline = eyes.baseline if eyes else _true_baseline(sequence, config)
+    vo = VisualOdometry(sequence.camera, config, sequence.ground, baseline, eyes.association if eyes else None)
     finder = eyes.finder if eyes else PatchFinder(sequence.camera, config.features, config.slam)
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     chain = OdometryChain()  # the motion since P_f
@@ -84,7 +91,7 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
             previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
             chain.add(index, previous, motion)
             if graph is not None:
-                _add_odometry(graph, frame, odometry, sequence)
+                _add_odometry(graph, frame, odometry, sequence, config)
         if config.mode is not Mode.VO and not vslam.started and odometry is not None:
             slam = _start(vslam, frame, odometry, reference.compose(chain.motion), sequence, config)
             if slam is not None:
@@ -130,9 +137,10 @@ def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None
     return odometry.points
 
 
-def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Sequence) -> None:
+def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Sequence, config: Config) -> None:
     """A frame with what odometry says of it, for the factor graph."""
-    scale_variance = odometry.map.variance
+    # True lengths, each known on its own, have no error in common.
+    scale_variance = 0.0 if config.scale.source is ScaleSource.ORACLE else odometry.map.variance
     graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, odometry.measured, scale_variance)
     if graph.settings.heights and sequence.ground is not None and frame.height > 0:
         graph.add_height(frame.height, frame.height_sigma, sequence.ground.normal)

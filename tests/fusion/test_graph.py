@@ -150,6 +150,16 @@ def test_the_same_bits(fed):
     assert np.array_equal(a.graph.smoothed().matrices, b.graph.smoothed().matrices)
 
 
+def test_a_scale_that_motions_share_is_not_each_ones_own():
+    graph = Graph(Camera(width=640, height=480, fx=400, fy=400, cx=320, cy=240), GraphSettings(scale_share=0.25))
+    step = gtsam.Pose3(gtsam.Rot3.Yaw(0.2), np.array([2.0, 0.0, 0.0]))
+    travel = np.concatenate([np.zeros(3), step.rotation().unrotate(step.translation())])
+    own, shared = 1e-4 * np.eye(6), 0.1**2 * np.outer(travel, travel)
+    graph.add_odometry(0.0, 0, GaussianPose.identity())
+    graph.add_odometry(0.1, 0, GaussianPose(step, own + shared), scale_variance=0.1**2)
+    assert graph.fuse(None).covariance == pytest.approx(own + 0.25 * shared, rel=1e-6, abs=1e-9)
+
+
 def test_satellites_bound_the_drift(fed):
     """A position every ten frames, as an optional factor."""
     made = fed(seed=1, landmarks="none")
