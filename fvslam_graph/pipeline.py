@@ -110,7 +110,9 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
                 # Both have moved on from P_f, which moves by what the fusion makes of it.
                 with stopwatch.stage("fusion"):
                     motion = graph.fuse(_views(slam)) if graph else _fused(rule, chain.motion, slam)
-                    reference = graph.pose if graph and absolute else reference.compose(motion)
+                    reference = reference.compose(motion)
+                    if graph is not None:
+                        reference = graph.pose if absolute else graph.judged(reference.mean)
                 vslam.rebase(reference)
             chain.anchor()
 
