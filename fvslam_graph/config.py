@@ -132,7 +132,7 @@ class GraphSettings(_Group):
     counting: Literal["disjoint", "deflated", "double"] = "disjoint"
     deflation: PositiveFloat = 2.0  # of the covariance of odometry, where `deflated`
     # Of the variance of odometry's scale, what a motion errs on its own; the rest it shares with those around it.
-    scale_share: float = Field(0.25, gt=0, le=1)
+    scale_share: float = Field(0.2, gt=0, le=1)
     # What the online pose is: the last one and the motion since (P_f), or where the graph now has the camera.
     online: Literal["motion", "pose"] = "motion"
     pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark aligned with its reference patch, along each axis

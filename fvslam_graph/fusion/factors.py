@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import gtsam
@@ -41,10 +42,14 @@ def landmark_key(landmark: int) -> int:
 
 
 def robust(model: gtsam.noiseModel.Base, settings: GraphSettings) -> gtsam.noiseModel.Base:
-    """The noise with the configured kernel, whose width is in standard deviations."""
+    """The noise with the configured kernel, whose width is in standard deviations of a single number.
+
+    A kernel sees the norm of all numbers of a measurement, which grows with the root of how many there are.
+    """
     if settings.kernel == "none":
         return model
-    return gtsam.noiseModel.Robust.Create(_KERNELS[settings.kernel](settings.kernel_width), model)
+    width = settings.kernel_width * math.sqrt(model.dim())
+    return gtsam.noiseModel.Robust.Create(_KERNELS[settings.kernel](width), model)
 
 
 def odometry_factors(
