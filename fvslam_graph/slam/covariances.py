@@ -34,6 +34,12 @@ def sparse_rows(blocks: list[tuple[Array, NDArray[np.intp]]], width: int) -> sci
     return scipy.sparse.csr_array((data, np.concatenate(columns), starts), shape=(len(starts) - 1, width))
 
 
+def each_transformed(covariance: Array, jacobian: Array, columns: NDArray[np.intp]) -> Array:
+    """The (N, r, r) J P J^T of each block of r rows on its own: values (N, r, c) and (N, c) their columns."""
+    own: Array = jacobian @ covariance[columns[:, :, None], columns[:, None, :]] @ jacobian.mT
+    return own
+
+
 def transformed(covariance: Array, jacobian: scipy.sparse.csr_array) -> Array:
     """J P J^T, exactly symmetric."""
     return symmetric(jacobian @ cv2.transpose(jacobian @ covariance))
