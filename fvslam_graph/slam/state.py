@@ -158,39 +158,33 @@ class State:
         np.subtract(self.covariance, change, out=change)
         return replace(self, covariance=change)
 
-    def without(self, dropped: NDArray[np.bool_]) -> State:
-        """The state without the landmarks that are marked, (M + L,)."""
-        if not dropped.any():
+    def reduced(self, kept: NDArray[np.bool_], linear: NDArray[np.bool_]) -> State:
+        """The state with some of its landmarks alone, of which some become points.
+
+        Args:
+            kept: (M + L,) which stay.
+            linear: (M,) which of those in inverse depth become points if they stay; they move to the end.
+        """
+        if kept.all() and not linear.any():
             return self
-        rays, points = np.split(~dropped, [len(self.rays)])
+        split = len(self.rays)
+        turned, rays, points = kept[:split] & linear, kept[:split] & ~linear, kept[split:]
         used = np.zeros(len(self.anchors), bool)
         used[self.anchor_of[rays]] = True
         rows = np.concatenate([np.ones(FIXED, bool), np.repeat(np.concatenate([used, rays, points]), PART)])
+        new, by_inverse = (part[turned] for part in self._inverse_as_points)
+        columns = self.columns[:split][turned]
+        cross = (by_inverse @ self.covariance[columns]).reshape(new.size, len(self.covariance))
+        own = (by_inverse @ cross.T[columns]).reshape(new.size, new.size)
         return replace(
             self,
             anchors=self.anchors[used],
             rays=self.rays[rays],
             anchor_of=(np.cumsum(used) - 1)[self.anchor_of[rays]],
-            points=self.points[points],
-            ids=self.ids[~dropped],
-            covariance=selected(self.covariance, rows),
+            points=np.vstack([self.points[points], new]),
+            ids=np.concatenate([self.ids[:split][rays], self.ids[split:][points], self.ids[:split][turned]]),
+            covariance=extended(selected(self.covariance, rows), cross[:, rows], own),
         )
-
-    def with_points(self, chosen: NDArray[np.bool_]) -> State:
-        """The state in which the marked landmarks, (M,) of those in inverse depth, are points; they move to the end."""
-        if not chosen.any():
-            return self
-        points, by_landmark = to_points(self.inverse[chosen])
-        columns = self.columns[: len(chosen)][chosen]
-        cross = (by_landmark @ self.covariance[columns]).reshape(points.size, -1)
-        own = (by_landmark @ cross.T[columns]).reshape(points.size, -1)
-        grown = replace(
-            self,
-            points=np.vstack([self.points, points]),
-            ids=np.concatenate([self.ids, self.ids[: len(chosen)][chosen]]),
-            covariance=extended(self.covariance, cross, own),
-        )
-        return grown.without(np.concatenate([chosen, np.zeros(len(self.points) + len(points), bool)]))
 
     def log_distances(self) -> tuple[NDArray[np.bool_], Array, Array]:
         """Which landmarks are in front of the camera (N,), all log distances (N,) and Jacobians (N, 6) by `columns`."""
