@@ -73,7 +73,7 @@ def warp(tiles: NDArray[np.uint8], centres: Array, change: Array) -> tuple[Patch
     within = np.all((corners >= 0) & (corners <= tiles.shape[1] - 1), axis=(0, 2))
     where[:, ~within] = 0.0
     where[1] += tiles.shape[1] * np.arange(len(tiles))[:, None]
-    across, down = where.astype(np.float32).reshape(2, -1, SIDE)
+    across, down = where.astype(np.float32)
     atlas = tiles.reshape(-1, tiles.shape[2])
     patches: Patches = cv2.remap(atlas, across, down, cv2.INTER_LINEAR).astype(np.float32)
     return patches.reshape(-1, SIDE, SIDE), within
@@ -157,8 +157,7 @@ def align(image: Image, patches: Patches, start: Array) -> tuple[Array, Array]:
 def _sample(image: Image, position: Array) -> Patches:
     """Patches (N, SIDE, SIDE) of the image around positions (N, 2)."""
     x, y = (position[:, :, None] + _OFFSETS).astype(np.float32).swapaxes(0, 1)
-    across = np.broadcast_to(x[:, None, :], (len(x), SIDE, SIDE)).reshape(-1, SIDE)
-    down = np.broadcast_to(y[:, :, None], (len(x), SIDE, SIDE)).reshape(-1, SIDE)
+    across, down = np.tile(x, SIDE), np.repeat(y, SIDE, axis=1)
     seen: Patches = cv2.remap(image, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return seen.astype(np.float32).reshape(-1, SIDE, SIDE)
 
