@@ -38,8 +38,9 @@ def low_innovation_inliers(
 
     A hypothesis takes one match as right. Those that it does not rule out are then held against each other (the local
     optimisation), since one match leaves some of the motion open, such as the roll. Hypotheses compete on a sample of
-    the matches, and all matches are held against the best set. Where it leads far from what was expected, they are
-    checked once more, linearised there.
+    the matches. It is held against the best set as long as this wins votes: wrong ones among those not ruled out lead
+    the others astray, and the few that agree nevertheless lead to the rest. All matches are then held against this set.
+    Where it leads far from what was expected, they are checked once more, linearised there.
 
     Args:
         state: Predicted.
@@ -75,6 +76,8 @@ def low_innovation_inliers(
             chosen, votes = agree, sum_of_votes
             miss = 1 - chosen.sum() / len(sample)
             needed = min(needed, math.ceil(math.log(1 - CONFIDENCE) / math.log(miss))) if miss > 0 else 0
+    while (agreed := _agree(chosen, known, likely, slack))[1] > votes:
+        chosen, votes = agreed
     best = np.zeros(len(candidates), bool)
     best[sample[chosen]] = True
     if len(sample) < len(candidates):
