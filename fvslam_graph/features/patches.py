@@ -17,6 +17,7 @@ SIDE = 2 * COARSE  # pixels, its side in the image itself; its middle lies betwe
 MARGIN = COARSE + 1  # pixels from the rim of the image within which no patch fits
 _OFFSETS = np.arange(SIDE) - (SIDE - 1) / 2
 _GRID = np.stack(np.meshgrid(_OFFSETS, _OFFSETS)).reshape(2, -1)
+_CORNERS = [0, SIDE - 1, -SIDE, -1]  # of this grid
 _ITERATIONS = 3  # of the alignment
 _LEAST_TEXTURE = np.float32(1e-4)  # added to what an aligned patch tells, so that a flat one stays where it is
 
@@ -67,13 +68,13 @@ def warp(tiles: NDArray[np.uint8], centres: Array, change: Array) -> tuple[Patch
         centres: (N, 2) where the points are in the tiles, pixels.
         change: (N, 2, 2) from offsets in the present view to offsets in the tile.
     """
-    where = centres[:, :, None] + change @ _GRID
-    within = np.all((where >= 0) & (where <= tiles.shape[1] - 1), axis=(1, 2))
-    where = np.where(within[:, None, None], where, 0.0)
-    where[:, 1] += tiles.shape[1] * np.arange(len(tiles))[:, None]
-    maps = where.astype(np.float32).reshape(len(tiles), 2, SIDE, SIDE)
+    where = centres.T[:, :, None] + change.swapaxes(0, 1) @ _GRID
+    corners = where[:, :, _CORNERS]
+    within = np.all((corners >= 0) & (corners <= tiles.shape[1] - 1), axis=(0, 2))
+    where[:, ~within] = 0.0
+    where[1] += tiles.shape[1] * np.arange(len(tiles))[:, None]
+    across, down = where.astype(np.float32)
     atlas = tiles.reshape(-1, tiles.shape[2])
-    across, down = (maps[:, axis].reshape(-1, SIDE) for axis in (0, 1))
     patches: Patches = cv2.remap(atlas, across, down, cv2.INTER_LINEAR).astype(np.float32)
     return patches.reshape(-1, SIDE, SIDE), within
 
@@ -140,8 +141,8 @@ def align(image: Image, patches: Patches, start: Array) -> tuple[Array, Array]:
     if not len(patches):
         return start, np.empty(0)
     template = _normalised(patches)
-    by_y, by_x = np.gradient(template.reshape(patches.shape), axis=(1, 2))
-    gradient = np.stack([by_x.reshape(template.shape), by_y.reshape(template.shape)], axis=1)
+    gradient = np.stack(np.gradient(template.reshape(patches.shape), axis=(2, 1)), axis=1)
+    gradient = gradient.reshape(len(patches), 2, -1)
     # Brightness and contrast may change too, so that what of the gradient looks like it is of no use.
     gradient -= gradient.mean(axis=2, keepdims=True)
     gradient -= (gradient @ template[:, :, None]) * template[:, None, :]
@@ -156,15 +157,15 @@ def align(image: Image, patches: Patches, start: Array) -> tuple[Array, Array]:
 def _sample(image: Image, position: Array) -> Patches:
     """Patches (N, SIDE, SIDE) of the image around positions (N, 2)."""
     x, y = (position[:, :, None] + _OFFSETS).astype(np.float32).swapaxes(0, 1)
-    across = np.broadcast_to(x[:, None, :], (len(x), SIDE, SIDE)).reshape(-1, SIDE)
-    down = np.broadcast_to(y[:, :, None], (len(x), SIDE, SIDE)).reshape(-1, SIDE)
+    across, down = np.tile(x, SIDE), np.repeat(y, SIDE, axis=1)
     seen: Patches = cv2.remap(image, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return seen.astype(np.float32).reshape(-1, SIDE, SIDE)
 
 
 def _normalised(patches: Patches) -> NDArray[np.float32]:
     """Patches as rows (N, SIDE^2) of zero mean and unit length."""
-    rows = patches.reshape(-1, SIDE * SIDE)
+    rows: NDArray[np.float32] = patches.reshape(-1, SIDE * SIDE)
     rows = rows - rows.mean(axis=1, keepdims=True)
-    unit: NDArray[np.float32] = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.float32(1e-3))
-    return unit
+    length = np.sqrt((rows * rows).sum(axis=1, keepdims=True))
+    rows /= np.maximum(length, np.float32(1e-3))
+    return rows

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from fvslam_graph.slam.landmarks import Array
 
@@ -34,6 +35,12 @@ def sparse_rows(blocks: list[tuple[Array, NDArray[np.intp]]], width: int) -> sci
     return scipy.sparse.csr_array((data, np.concatenate(columns), starts), shape=(len(starts) - 1, width))
 
 
+def each_transformed(covariance: Array, jacobian: Array, columns: NDArray[np.intp]) -> Array:
+    """The (N, r, r) J P J^T of each block of r rows on its own: values (N, r, c) and (N, c) their columns."""
+    own: Array = jacobian @ covariance[columns[:, :, None], columns[:, None, :]] @ jacobian.mT
+    return own
+
+
 def transformed(covariance: Array, jacobian: scipy.sparse.csr_array) -> Array:
     """J P J^T, exactly symmetric."""
     return symmetric(jacobian @ cv2.transpose(jacobian @ covariance))
@@ -43,8 +50,15 @@ def innovation(jacobian: scipy.sparse.csr_array, covariance: Array, sigma: float
     """H P (k, n), and the innovation covariance H P H^T (k, k), exactly symmetric, with noise of deviation `sigma`."""
     product = jacobian @ covariance
     spread = symmetric(jacobian @ cv2.transpose(product))
-    spread[np.diag_indices_from(spread)] += sigma**2
+    spread.ravel()[:: len(spread) + 1] += sigma**2
     return product, spread
+
+
+def inverse_root(covariance: Array) -> Array:
+    """The lower triangular L^-1 of P = L L^T, which makes numbers of covariance P (k, k) independent, of variance 1."""
+    root, _ = lapack.dpotrf(covariance, lower=1)
+    inverse: Array = lapack.dtrtri(root, lower=1, overwrite_c=1)[0]
+    return inverse
 
 
 def extended(covariance: Array, cross: Array, own: Array) -> Array:

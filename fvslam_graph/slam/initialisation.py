@@ -62,7 +62,9 @@ def depths_from_map(state: State, pixels: Array, camera: Camera, spread: float) 
     weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
     weight /= weight.sum(axis=1, keepdims=True)
     inverse = np.exp(-weight @ logs)
-    by_state = -inverse[:, None] * (weight @ jacobian.toarray())
+    logs_by_state = np.zeros((len(state), len(state.covariance)))
+    logs_by_state[np.arange(len(state))[:, None], state.columns] = jacobian
+    by_state = -inverse[:, None] * (weight @ logs_by_state)
     return DepthPrior(inverse, np.diag((spread * inverse) ** 2), by_state)
 
 

@@ -62,10 +62,9 @@ class MapManager:
         self.records = self.records.counted(state.ids, in_view, searched.measured)
         mine = self.records.of(state.ids)
         rare = (mine.expected >= TRIALS) & (mine.measured < MIN_SUCCESS * mine.expected)
-        state = state.without(rare | ~in_view)
         _, rays, _ = state.parts
         index = linearity_index(state.inverse, np.sqrt(np.diagonal(state.covariance)[rays[:, 2]]))
-        return state.with_points((index < LINEARITY) & (state.rays[:, 2] > 0))
+        return state.reduced(in_view & ~rare, (index < LINEARITY) & (state.rays[:, 2] > 0))
 
     def grown(self, state: State, frame: Frame, points: KnownPoints | None, map_T_camera: gtsam.Pose3) -> State:
         """With as many landmarks that begin at this frame, away from those that exist, as the next frame may lack.

@@ -10,10 +10,10 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
-from fvslam_graph.slam.covariances import innovation, sparse_rows
+from fvslam_graph.slam.covariances import each_transformed, innovation, sparse_rows
 from fvslam_graph.slam.landmarks import Array, hat, scaled_points
 from fvslam_graph.slam.motion import travelled
-from fvslam_graph.slam.state import State
+from fvslam_graph.slam.state import FIXED, VELOCITY, State
 
 GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom, as a pixel has
 MAX_ITERATIONS = 10
@@ -27,37 +27,24 @@ class Prediction:
     Attributes:
         pixels: (N, 2); of no meaning where `in_front` is False.
         in_front: (N,) bool, of the camera.
-        by_inverse: (M, 2, 12) Jacobian of those of landmarks in inverse depth by `State.columns`.
-        by_point: (L, 2, 9) of those of points.
-        columns: (M, 12) and (L, 9), the columns of these blocks.
+        blocks: (N, 2, 12) their Jacobian by what each depends on: the velocity, and the landmark itself.
+        columns: (N, 12) the columns of these blocks.
         width: n, of the error state.
     """
 
     pixels: Array
     in_front: NDArray[np.bool_]
-    by_inverse: Array
-    by_point: Array
-    columns: tuple[NDArray[np.intp], NDArray[np.intp]]
+    blocks: Array
+    columns: NDArray[np.intp]
     width: int
 
     def jacobian(self, chosen: NDArray[np.bool_]) -> scipy.sparse.csr_array:
         """The Jacobian (2K, n) of the K chosen landmarks, (N,), by the error state."""
-        first, second = np.split(chosen, [len(self.by_inverse)])
-        blocks = [(self.by_inverse[first], self.columns[0][first]), (self.by_point[second], self.columns[1][second])]
-        return sparse_rows(blocks, self.width)
+        return sparse_rows([(self.blocks[chosen], self.columns[chosen])], self.width)
 
     def innovation_covariances(self, state: State, chosen: NDArray[np.bool_], sigma: float) -> Array:
         """(K, 2, 2) of each chosen pixel on its own, with the deviation `sigma` of a match, pixels^2."""
-        split = len(self.by_inverse)
-        spread = []
-        for jacobian, columns, part in (
-            (self.by_inverse, self.columns[0], chosen[:split]),
-            (self.by_point, self.columns[1], chosen[split:]),
-        ):
-            jacobian, columns = jacobian[part], columns[part]
-            own = state.covariance[columns[:, :, None], columns[:, None, :]]
-            spread.append(jacobian @ own @ jacobian.mT)
-        whole = np.concatenate(spread) + sigma**2 * np.eye(2)
+        whole = each_transformed(state.covariance, self.blocks[chosen], self.columns[chosen]) + sigma**2 * np.eye(2)
         return (whole + whole.mT) / 2
 
 
@@ -67,6 +54,7 @@ def predict_pixels(state: State, seconds: float, camera: Camera) -> Prediction:
     rotation, translation = prev_T_cur.rotation().matrix(), prev_T_cur.translation()
     # Landmarks as points times a weight, which is the inverse depth, or 1.
     scaled, by_scaled = scaled_points(state.inverse)
+    split = len(scaled)
     weights = np.concatenate([state.inverse[:, 5], np.ones(len(state.points))])
     seen = (np.vstack([scaled, state.points]) - weights[:, None] * translation) @ rotation
     in_front = seen[:, 2] > 0
@@ -80,19 +68,13 @@ def predict_pixels(state: State, seconds: float, camera: Camera) -> Prediction:
     seen_by_motion = np.zeros((len(seen), 3, 6))
     seen_by_motion[:, :, :3] = hat(seen)
     seen_by_motion[:, :, 3:] = -weights[:, None, None] * np.eye(3)
-    by_velocity = by_seen @ (seen_by_motion @ by_velocity)
-
-    split = len(state.inverse)
-    by_scaled[:, :, 5] -= translation
-    by_inverse, by_point = by_seen[:split] @ rotation.T @ by_scaled, by_seen[split:] @ rotation.T
-    return Prediction(
-        pixels,
-        in_front,
-        np.concatenate([by_velocity[:split], by_inverse], axis=2),
-        np.concatenate([by_velocity[split:], by_point], axis=2),
-        state.columns,
-        len(state.covariance),
-    )
+    by_landmark = np.zeros((len(seen), 3, 6))
+    by_landmark[:split], by_landmark[split:, :, 3:] = by_scaled, np.eye(3)
+    by_landmark[:split, :, 5] -= translation
+    blocks, columns = np.empty((len(seen), 2, 12)), np.empty((len(seen), 12), np.intp)
+    blocks[:, :, :6], blocks[:, :, 6:] = by_seen @ (seen_by_motion @ by_velocity), by_seen @ rotation.T @ by_landmark
+    columns[:, :6], columns[:, 6:] = np.arange(FIXED)[VELOCITY], state.columns
+    return Prediction(pixels, in_front, blocks, columns, len(state.covariance))
 
 
 def update(

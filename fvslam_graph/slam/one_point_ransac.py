@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
-from fvslam_graph.slam.covariances import innovation
+from fvslam_graph.slam.covariances import innovation, inverse_root
 from fvslam_graph.slam.landmarks import Array
 from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels
 from fvslam_graph.slam.state import State
@@ -38,8 +38,9 @@ def low_innovation_inliers(
 
     A hypothesis takes one match as right. Those that it does not rule out are then held against each other (the local
     optimisation), since one match leaves some of the motion open, such as the roll. Hypotheses compete on a sample of
-    the matches, and all matches are held against the best set. Where it leads far from what was expected, they are
-    checked once more, linearised there.
+    the matches. It is held against the best set as long as this wins votes: wrong ones among those not ruled out lead
+    the others astray, and the few that agree nevertheless lead to the rest. All matches are then held against this set.
+    Where it leads far from what was expected, they are checked once more, linearised there.
 
     Args:
         state: Predicted.
@@ -75,6 +76,8 @@ def low_innovation_inliers(
             chosen, votes = agree, sum_of_votes
             miss = 1 - chosen.sum() / len(sample)
             needed = min(needed, math.ceil(math.log(1 - CONFIDENCE) / math.log(miss))) if miss > 0 else 0
+    while (agreed := _agree(chosen, known, likely, slack))[1] > votes:
+        chosen, votes = agreed
     best = np.zeros(len(candidates), bool)
     best[sample[chosen]] = True
     if len(sample) < len(candidates):
@@ -82,7 +85,8 @@ def low_innovation_inliers(
     # What is left out of a linear model is quadratic in the angle by which the view differs from the expected one.
     if best.any() and (off[best] ** 2).sum(axis=1).max() > slack * camera.fx / 4:
         rows = np.repeat(best, 2)
-        error = product[rows].T @ np.linalg.solve(spread[np.ix_(rows, rows)], off[best].ravel())
+        whiten = inverse_root(spread[np.ix_(rows, rows)])
+        error = product[rows].T @ (whiten.T @ (whiten @ off[best].ravel()))
         there = predict_pixels(state.moved(error), seconds, camera)
         jacobian = there.jacobian(found)
         off = (pixels - there.pixels)[candidates] + (jacobian @ error).reshape(-1, 2)
@@ -115,15 +119,17 @@ def _agree(chosen: NDArray[np.bool_], off: Array, spread: Array, slack: float) -
         return chosen, 0.0
     inside, outside = np.repeat(chosen, 2), np.repeat(~chosen, 2)
     residual, covariance = np.empty_like(off), np.empty((len(chosen), 2, 2))
-    # The others' conditional distribution, and that of each chosen one given the rest of them (leave one out).
-    information = np.linalg.inv(spread[np.ix_(inside, inside)])
-    weighted = information @ off[chosen].ravel()
-    covariance[chosen] = np.linalg.inv(_blocks(information))
-    residual[chosen] = np.einsum("nij,nj->ni", covariance[chosen], weighted.reshape(-1, 2))
-    cross = spread[np.ix_(outside, inside)]
-    residual[~chosen] = off[~chosen] - (cross @ weighted).reshape(-1, 2)
-    explained = ((cross @ information).reshape(-1, 2, cross.shape[1])) @ cross.reshape(-1, 2, cross.shape[1]).mT
-    covariance[~chosen] = _blocks(spread)[~chosen] - explained
+    # The inverse of the Cholesky factor makes the chosen ones independent of each other.
+    whiten = inverse_root(spread[np.ix_(inside, inside)])
+    white = whiten @ off[chosen].ravel()
+    # Each chosen one given the rest of them (leave one out), by the inverse of its block of the information.
+    rows = whiten.T.reshape(-1, 2, len(white))
+    covariance[chosen] = np.linalg.inv(rows @ rows.mT)
+    residual[chosen] = (covariance[chosen] @ (rows @ white)[:, :, None])[:, :, 0]
+    # The others given the chosen ones.
+    rows = (spread[np.ix_(outside, inside)] @ whiten.T).reshape(-1, 2, len(white))
+    covariance[~chosen] = _blocks(spread)[~chosen] - rows @ rows.mT
+    residual[~chosen] = off[~chosen] - rows @ white
 
     agree = _near(residual, covariance, slack)
     votes = KNOWN**2 / np.sqrt(np.linalg.det(covariance[agree] + KNOWN**2 * np.eye(2)))

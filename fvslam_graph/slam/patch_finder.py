@@ -43,13 +43,13 @@ class PatchFinder:
         self._ids = np.empty(0, np.int64)
         self._tiles = np.empty((0, side, side), np.uint8)
         self._centres = np.empty((0, 2))
-        self._map_T_anchor = np.empty((0, 4, 4))
+        self._anchor_T_map = np.empty((0, 4, 4))
 
     def find(self, frame: Frame, search_for: Search) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels (N, 2) and which were found, (N,)."""
         assert frame.image is not None
         settings, rows = self.settings, np.searchsorted(self._ids, search_for.ids)
-        anchor_T_camera = np.linalg.inv(self._map_T_anchor[rows]) @ search_for.map_T_camera.matrix()
+        anchor_T_camera = self._anchor_T_map[rows] @ search_for.map_T_camera.matrix()
         change = view_change(anchor_T_camera, search_for.points, self.camera)
         patches, within = warp(self._tiles[rows], self._centres[rows], change)
         pixels, correlation = search_for.followed.copy(), np.ones(len(patches))
@@ -85,11 +85,11 @@ class PatchFinder:
         self._ids = np.concatenate([self._ids, ids])
         self._tiles = np.concatenate([self._tiles, cut_tiles(frame.image, pixels)])
         self._centres = np.vstack([self._centres, REACH + pixels - np.rint(pixels)])
-        anchor = np.broadcast_to(map_T_camera.matrix(), (len(ids), 4, 4))
-        self._map_T_anchor = np.concatenate([self._map_T_anchor, anchor])
+        anchor = np.broadcast_to(map_T_camera.inverse().matrix(), (len(ids), 4, 4))
+        self._anchor_T_map = np.concatenate([self._anchor_T_map, anchor])
 
     def forget(self, kept: NDArray[np.int64]) -> None:
         """Drop all landmarks but these."""
-        stay = np.isin(self._ids, kept)
+        stay = np.searchsorted(self._ids, kept)
         self._ids, self._tiles = self._ids[stay], self._tiles[stay]
-        self._centres, self._map_T_anchor = self._centres[stay], self._map_T_anchor[stay]
+        self._centres, self._anchor_T_map = self._centres[stay], self._anchor_T_map[stay]

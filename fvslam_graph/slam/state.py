@@ -11,10 +11,9 @@ import cv2
 import gtsam
 import numpy as np
 import scipy.linalg
-import scipy.sparse
 from numpy.typing import NDArray
 
-from fvslam_graph.slam.covariances import extended, selected, sparse_rows
+from fvslam_graph.slam.covariances import each_transformed, extended, selected
 from fvslam_graph.slam.landmarks import Array, to_points
 
 POSE, SCALE, VELOCITY, FIXED = slice(0, 6), 6, slice(7, 13), 13  # rows of the error state before the landmarks
@@ -82,18 +81,21 @@ class State:
     def parts(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Rows of the error state of the anchors (A, 3), the rays (M, 3) and the points (L, 3)."""
         rows = np.arange(FIXED, len(self.covariance)).reshape(-1, PART)
-        anchors, rays, points = np.split(rows, [len(self.anchors), len(self.anchors) + len(self.rays)])
-        return anchors, rays, points
+        first, second = len(self.anchors), len(self.anchors) + len(self.rays)
+        return rows[:first], rows[first:second], rows[second:]
 
     @cached_property
-    def columns(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """What the view of each landmark depends on, the velocity and itself: columns (M, 12) and (L, 9)."""
+    def columns(self) -> NDArray[np.intp]:
+        """(M + L, 6) rows of the error state that make up each landmark: its anchor and its ray, or its point.
+
+        A point has no anchor. Its first three are the row of the scale, by which no Jacobian of a landmark is other
+        than zero, so that all landmarks are alike.
+        """
         anchors, rays, points = self.parts
-        velocity = np.arange(FIXED)[VELOCITY]
-        first, second = np.empty((len(rays), 12), np.intp), np.empty((len(points), 9), np.intp)
-        first[:, :6], first[:, 6:9], first[:, 9:] = velocity, anchors[self.anchor_of], rays
-        second[:, :6], second[:, 6:] = velocity, points
-        return first, second
+        columns = np.full((len(self), 2 * PART), SCALE)
+        columns[: len(rays), :PART], columns[: len(rays), PART:] = anchors[self.anchor_of], rays
+        columns[len(rays) :, PART:] = points
+        return columns
 
     @cached_property
     def positions(self) -> Array:
@@ -101,21 +103,22 @@ class State:
         return np.vstack([self._inverse_as_points[0], self.points])
 
     @cached_property
+    def by_landmark(self) -> Array:
+        """(M + L, 3, 6) Jacobian of the positions by the landmarks, see `columns`."""
+        by_landmark = np.zeros((len(self), PART, 2 * PART))
+        by_landmark[: len(self.rays)] = self._inverse_as_points[1]
+        by_landmark[len(self.rays) :, :, PART:] = np.eye(PART)
+        return by_landmark
+
+    @cached_property
     def _inverse_as_points(self) -> tuple[Array, Array]:
         return to_points(self.inverse)
 
     def position_covariances(self) -> Array:
         """Of the landmarks as points, with what is uncertain of their scale; (M + L, 3, 3)."""
-        points, by_inverse = self._inverse_as_points
-        groups = []
-        for point, by_landmark, columns in (
-            (points, by_inverse, self.columns[0]),
-            (self.points, np.broadcast_to(np.eye(3), (len(self.points), 3, 3)), self.columns[1]),
-        ):
-            jacobian = np.concatenate([point[:, :, None], by_landmark], axis=2)
-            rows = np.hstack([np.full((len(point), 1), SCALE), columns[:, 6:]])
-            groups.append(jacobian @ self.covariance[rows[:, :, None], rows[:, None, :]] @ jacobian.mT)
-        return np.concatenate(groups)
+        jacobian = np.concatenate([self.positions[:, :, None], self.by_landmark], axis=2)
+        columns = np.hstack([np.full((len(self), 1), SCALE), self.columns])
+        return each_transformed(self.covariance, jacobian, columns)
 
     @property
     def by_scale(self) -> Array:
@@ -155,60 +158,52 @@ class State:
         np.subtract(self.covariance, change, out=change)
         return replace(self, covariance=change)
 
-    def without(self, dropped: NDArray[np.bool_]) -> State:
-        """The state without the landmarks that are marked, (M + L,)."""
-        if not dropped.any():
+    def reduced(self, kept: NDArray[np.bool_], linear: NDArray[np.bool_]) -> State:
+        """The state with some of its landmarks alone, of which some become points.
+
+        Args:
+            kept: (M + L,) which stay.
+            linear: (M,) which of those in inverse depth become points if they stay; they move to the end.
+        """
+        if kept.all() and not linear.any():
             return self
-        rays, points = np.split(~dropped, [len(self.rays)])
+        split = len(self.rays)
+        turned, rays, points = kept[:split] & linear, kept[:split] & ~linear, kept[split:]
         used = np.zeros(len(self.anchors), bool)
         used[self.anchor_of[rays]] = True
         rows = np.concatenate([np.ones(FIXED, bool), np.repeat(np.concatenate([used, rays, points]), PART)])
+        new, by_inverse = (part[turned] for part in self._inverse_as_points)
+        columns = self.columns[:split][turned]
+        cross = (by_inverse @ self.covariance[columns]).reshape(new.size, len(self.covariance))
+        own = (by_inverse @ cross.T[columns]).reshape(new.size, new.size)
         return replace(
             self,
             anchors=self.anchors[used],
             rays=self.rays[rays],
             anchor_of=(np.cumsum(used) - 1)[self.anchor_of[rays]],
-            points=self.points[points],
-            ids=self.ids[~dropped],
-            covariance=selected(self.covariance, rows),
+            points=np.vstack([self.points[points], new]),
+            ids=np.concatenate([self.ids[:split][rays], self.ids[split:][points], self.ids[:split][turned]]),
+            covariance=extended(selected(self.covariance, rows), cross[:, rows], own),
         )
 
-    def with_points(self, chosen: NDArray[np.bool_]) -> State:
-        """The state in which the marked landmarks, (M,) of those in inverse depth, are points; they move to the end."""
-        if not chosen.any():
-            return self
-        points, by_landmark = to_points(self.inverse[chosen])
-        columns = self.columns[0][chosen, 6:]
-        cross = (by_landmark @ self.covariance[columns]).reshape(points.size, -1)
-        own = (by_landmark @ cross.T[columns]).reshape(points.size, -1)
-        grown = replace(
-            self,
-            points=np.vstack([self.points, points]),
-            ids=np.concatenate([self.ids, self.ids[: len(chosen)][chosen]]),
-            covariance=extended(self.covariance, cross, own),
-        )
-        return grown.without(np.concatenate([chosen, np.zeros(len(self.points) + len(points), bool)]))
-
-    def log_distances(self) -> tuple[NDArray[np.bool_], Array, scipy.sparse.csr_array]:
-        """Which landmarks are in front of the camera (N,), all log distances (N,) and their Jacobian (N, n)."""
-        points, split = self.positions, len(self.rays)
+    def log_distances(self) -> tuple[NDArray[np.bool_], Array, Array]:
+        """Which landmarks are in front of the camera (N,), all log distances (N,) and Jacobians (N, 6) by `columns`."""
+        points = self.positions
         front = points[:, 2] > 0
-        front[:split] &= self.rays[:, 2] > 0
+        front[: len(self.rays)] &= self.rays[:, 2] > 0
         square = np.maximum((points**2).sum(axis=1), 1e-18)
-        by_point = (points / square[:, None])[:, None]
-        by_inverse = by_point[:split] @ self._inverse_as_points[1]
-        blocks = [(by_inverse, self.columns[0][:, 6:]), (by_point[split:], self.columns[1][:, 6:])]
-        return front, 0.5 * np.log(square), sparse_rows(blocks, len(self.covariance))
+        jacobian = (points / square[:, None])[:, None] @ self.by_landmark
+        return front, 0.5 * np.log(square), jacobian[:, 0]
 
     def _mean_log_distance(self) -> Array | None:
         """(n,) Jacobian of the mean log distance, in which the certain ones weigh most; None without landmarks."""
         front, _, jacobian = self.log_distances()
         if not front.any():
             return None
-        dense = jacobian.toarray()
-        variances = np.einsum("ni,ni->n", jacobian @ self.covariance, dense)
+        variances = each_transformed(self.covariance, jacobian[:, None], self.columns)[:, 0, 0]
         weight = front / (variances + LEAST_LOG_VARIANCE)
-        mean: Array = (weight / weight.sum()) @ dense
+        mean = np.zeros(len(self.covariance))
+        np.add.at(mean, self.columns, (weight / weight.sum())[:, None] * jacobian)
         return mean
 
     def check(self) -> None:

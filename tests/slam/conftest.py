@@ -43,7 +43,8 @@ def random_state(camera: Camera) -> Callable[..., State]:
         rays[:, 2] = rng.uniform(0.05, 0.4, len(rays))
         velocity = np.concatenate([0.5 * rng.standard_normal(3), 2 * rng.standard_normal(3)])
         state = replace(state, anchors=anchors, rays=rays, velocity=velocity)
-        state = state.with_points(np.arange(inverse + points) >= inverse)
+        everything = np.arange(inverse + points)
+        state = state.reduced(everything >= 0, everything >= inverse)
         return replace(state, covariance=random_covariance(rng, len(state.covariance), sigma))
 
     return make

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fvslam_graph.slam.covariances import extended, innovation, selected, sparse_rows, transformed
+from fvslam_graph.slam.covariances import each_transformed, extended, innovation, selected, sparse_rows, transformed
 
 from .conftest import random_covariance
 
@@ -24,6 +24,15 @@ def test_transformed_is_symmetric_to_the_bit():
     result = transformed(covariance, jacobian)
     assert np.array_equal(result, result.T)
     assert np.allclose(result, jacobian.toarray() @ covariance @ jacobian.toarray().T)
+
+
+def test_each_transformed_is_what_the_whole_has_on_its_diagonal():
+    rng = np.random.default_rng(3)
+    covariance = random_covariance(rng, 7, 1.0)
+    blocks, columns = rng.standard_normal((3, 2, 4)), rng.permuted(np.tile(np.arange(7), (3, 1)), axis=1)[:, :4]
+    whole = transformed(covariance, sparse_rows([(blocks, columns)], 7))
+    each = each_transformed(covariance, blocks, columns)
+    assert np.allclose(each, [whole[:2, :2], whole[2:4, 2:4], whole[4:, 4:]])
 
 
 def test_innovation_is_that_of_dense_matrices():

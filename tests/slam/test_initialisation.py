@@ -34,7 +34,8 @@ def test_a_new_landmark_is_where_it_is_seen(random_state, camera):
     spread = predict_pixels(velocity_known, 0.1, camera).innovation_covariances(velocity_known, new, 0.5)
     assert spread == pytest.approx(np.tile(0.5 * np.eye(2), (3, 1, 1)), rel=1e-6, abs=1e-9)
     assert grown.positions[~new] == pytest.approx(state.positions)
-    assert grown.without(new).covariance == pytest.approx(state.covariance)
+    nothing = np.zeros(len(grown.rays), bool)
+    assert grown.reduced(~new, nothing).covariance == pytest.approx(state.covariance)
 
 
 def _without_velocity(state):
@@ -107,6 +108,6 @@ def test_known_depths_share_the_errors_of_a_motion(random_state, camera):
 
 def test_without_a_map_there_is_no_depth_to_take_over(random_state, camera):
     state = random_state(0)
-    empty = state.without(np.ones(len(state), bool))
+    empty = state.reduced(np.zeros(len(state), bool), np.zeros(len(state.rays), bool))
     assert depths_from_map(empty, PIXELS, camera, 0.5) is None
     assert empty.with_scale_apart() is empty

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fvslam_graph.config import SlamSettings
 from fvslam_graph.slam.measurement import predict_pixels
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
 
@@ -37,7 +38,7 @@ def run(state, prediction, pixels, found, camera, seed=0):
 
 
 def test_half_of_the_matches_may_be_wrong(matched, camera):
-    """In about one of ten of these small scenes another motion explains as many."""
+    """No wrong one is taken for right; where few agree, in about one of fifty of these small scenes, that is told."""
     right = 0
     for seed in range(50):
         state, prediction, pixels, rng = matched(seed)
@@ -45,9 +46,11 @@ def test_half_of_the_matches_may_be_wrong(matched, camera):
         wrong = np.arange(len(state)) % 2 == 0
         pixels[wrong] += rng.choice([-1, 1], (wrong.sum(), 2)) * rng.uniform(8, 30, (wrong.sum(), 2))
         inliers, votes = run(state, prediction, pixels, found, camera)
-        right += not (inliers & wrong).any() and inliers[~wrong].mean() > 0.9
-        assert 0 < votes <= inliers.sum()
-    assert right >= 40  # measured 43
+        assert 0 <= votes <= inliers.sum()
+        told = votes < SlamSettings().min_matches
+        assert told or not (inliers & wrong).any()
+        right += not told and inliers[~wrong].mean() > 0.9
+    assert right >= 47  # measured 48
 
 
 def test_only_what_was_found_agrees(matched, camera):

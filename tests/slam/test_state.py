@@ -31,24 +31,26 @@ def test_the_scale_makes_all_lengths_longer(random_state):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_without_keeps_the_rest(random_state, seed):
+def test_what_is_kept_stays_as_it_is(random_state, seed):
     state = random_state(seed)
-    dropped = np.random.default_rng(seed).random(len(state)) < 0.4
-    left = state.without(dropped)
+    kept = np.random.default_rng(seed).random(len(state)) > 0.4
+    left = state.reduced(kept, np.zeros(6, bool))
     left.check()
-    assert left.ids.tolist() == state.ids[~dropped].tolist()
-    assert left.positions == pytest.approx(state.positions[~dropped])
-    assert left.position_covariances() == pytest.approx(state.position_covariances()[~dropped])
-    assert state.without(np.zeros(len(state), bool)) is state
+    assert left.ids.tolist() == state.ids[kept].tolist()
+    assert left.positions == pytest.approx(state.positions[kept])
+    assert left.position_covariances() == pytest.approx(state.position_covariances()[kept])
+    assert state.reduced(np.ones(len(state), bool), np.zeros(6, bool)) is state
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_points_are_what_the_landmarks_were(random_state, seed):
     state = random_state(seed)
-    chosen = np.array([True, False, True, True, False, False])
-    turned = state.with_points(chosen)
+    linear = np.array([True, False, True, True, False, False])
+    kept = np.arange(10) != 2
+    turned = state.reduced(kept, linear)
     turned.check()
-    assert len(turned.inverse) == 3 and len(turned.points) == 7
+    assert len(turned.inverse) == 3 and len(turned.points) == 6
+    assert set(turned.ids) == set(state.ids[kept])
     order = [state.ids.tolist().index(identity) for identity in turned.ids]
     assert turned.positions == pytest.approx(state.positions[order])
     assert turned.position_covariances() == pytest.approx(state.position_covariances()[order])
@@ -79,10 +81,10 @@ def test_a_common_error_of_all_distances_becomes_one_of_the_scale(random_state):
 def test_an_anchor_lasts_as_long_as_a_landmark_has_it(random_state):
     state, rows = random_state(0), np.arange(10)
     assert len(state.anchors) == 4 and state.anchor_of.tolist() == [0, 1, 1, 2, 2, 3]
-    for left in (state.without(rows == 0), state.with_points(rows[:6] == 0)):
+    for left in (state.reduced(rows != 0, rows[:6] < 0), state.reduced(rows >= 0, rows[:6] == 0)):
         assert np.array_equal(left.anchors, state.anchors[1:])
         assert left.anchor_of.tolist() == [0, 0, 1, 1, 2]
-    for left in (state.without(rows == 1), state.with_points(rows[:6] == 1)):
+    for left in (state.reduced(rows != 1, rows[:6] < 0), state.reduced(rows >= 0, rows[:6] == 1)):
         assert np.array_equal(left.anchors, state.anchors)
         assert left.anchor_of.tolist() == [0, 1, 2, 2, 3]
 
