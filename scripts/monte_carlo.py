@@ -5,8 +5,8 @@ with the band in which the mean of as many honest estimates lies with 95 % proba
 2001, section 5.4.2).
 
 `nees_vslam.png` is visual SLAM that starts from depths whose errors are known, without and with a share of wrong
-matches; the error of the position is compared, too. `nees_modes.png` is all modes as they run on images; the length of
-each baseline of odometry is the true one (scale source `oracle`), since simulated points have no ground to measure.
+matches; the error of the position is compared, too. `nees_modes.png` is all modes as they run on images. Points have no
+ground to measure: the length of each baseline is the true one, with the error that the scale source `oracle` states.
 """
 
 from collections.abc import Callable, Iterator, Mapping
