@@ -34,6 +34,11 @@ class GaussianPose:
         covariance = adjoint @ self.covariance @ adjoint.T + step.covariance
         return GaussianPose(self.mean.compose(step.mean), (covariance + covariance.T) / 2)
 
+    def with_scale_variance(self, variance: float) -> GaussianPose:
+        """The same with so much more variance of the logarithm of its length; less, where it is negative."""
+        travel = np.concatenate([np.zeros(3), self.mean.rotation().unrotate(self.mean.translation())])
+        return GaussianPose(self.mean, self.covariance + variance * np.outer(travel, travel))
+
     def inverse(self) -> GaussianPose:
         """b_T_a."""
         adjoint = self.mean.AdjointMap()
@@ -57,11 +62,6 @@ class LogScale:
     def metres(self) -> float:
         """Length of the baseline."""
         return math.exp(self.mean)
-
-    def fused(self, other: LogScale) -> LogScale:
-        """The product of two independent estimates, as in a Kalman update."""
-        gain = self.variance / (self.variance + other.variance)
-        return LogScale(self.mean + gain * (other.mean - self.mean), (1 - gain) * self.variance)
 
 
 @dataclass(frozen=True)

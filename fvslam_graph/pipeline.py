@@ -91,7 +91,7 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
             previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
             chain.add(index, previous, motion)
             if graph is not None:
-                _add_odometry(graph, frame, odometry, sequence, config)
+                _add_odometry(graph, frame, odometry, sequence)
         if config.mode is not Mode.VO and not vslam.started and odometry is not None:
             slam = _start(vslam, frame, odometry, reference.compose(chain.motion), sequence, config)
             if slam is not None:
@@ -139,11 +139,9 @@ def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None
     return odometry.points
 
 
-def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Sequence, config: Config) -> None:
+def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Sequence) -> None:
     """A frame with what odometry says of it, for the factor graph."""
-    # True lengths, each known on its own, have no error in common.
-    scale_variance = 0.0 if config.scale.source is ScaleSource.ORACLE else odometry.map.variance
-    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, odometry.measured, scale_variance)
+    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, odometry.measured, odometry.map.variance)
     if graph.settings.heights and sequence.ground is not None and frame.height > 0:
         graph.add_height(frame.height, frame.height_sigma, sequence.ground.normal)
 

@@ -43,3 +43,16 @@ def test_inverse():
     by_pose = np.column_stack([inverse.mean.localCoordinates(pose.mean.retract(e).inverse()) for e in change]) / 1e-6
     assert inverse.covariance == pytest.approx(by_pose @ pose.covariance @ by_pose.T, rel=1e-5, abs=1e-5)
     assert inverse.inverse().covariance == pytest.approx(pose.covariance)
+
+
+def test_a_scale_that_is_not_known_is_an_uncertain_length():
+    """By poses whose translations are stretched."""
+    motion = GaussianPose(gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([1.0, 0.5, 2.0])), 1e-4 * np.eye(6))
+    logs = 1e-4 * np.array([-1.0, 1.0])
+    stretched = [gtsam.Pose3(motion.mean.rotation(), np.exp(log) * motion.mean.translation()) for log in logs]
+    by_scale = motion.mean.localCoordinates(stretched[1]) - motion.mean.localCoordinates(stretched[0])
+    by_scale /= logs[1] - logs[0]
+    vague = motion.with_scale_variance(0.04)
+    assert vague.mean.equals(motion.mean, 0)
+    assert vague.covariance - motion.covariance == pytest.approx(0.04 * np.outer(by_scale, by_scale), abs=1e-8)
+    assert vague.with_scale_variance(-0.04).covariance == pytest.approx(motion.covariance, abs=1e-12)

@@ -80,7 +80,9 @@ class Graph:
         else:
             motion = self._plausibility.checked(prev_T_cur, stamp - self._stamps[previous])
             if motion is prev_T_cur:
-                motion = _relative(motion, (1 - self.settings.scale_share) * scale_variance)
+                # A scale that all motions have in common bends nothing. Were it taken as each one's own, landmarks
+                # would decide the lengths of motions against each other, which odometry knows better.
+                motion = motion.with_scale_variance((self.settings.scale_share - 1) * scale_variance)
             else:
                 length = None
             self._poses.append(self._poses[previous].compose(motion.mean))
@@ -214,16 +216,6 @@ class Graph:
         """What the next update of the solver takes in."""
         self._factors, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._seen: dict[int, float] = {}
-
-
-def _relative(motion: GaussianPose, variance: float) -> GaussianPose:
-    """The motion without a variance of log scale that it shares with the motions around it.
-
-    A scale that all have in common is that of the whole, and bends nothing. Were it taken as each one's own, landmarks,
-    whose own errors are smaller, would decide the lengths of motions against each other, which odometry knows better.
-    """
-    travel = np.concatenate([np.zeros(3), motion.mean.rotation().unrotate(motion.mean.translation())])
-    return GaussianPose(motion.mean, motion.covariance - variance * np.outer(travel, travel))
 
 
 def _motion(solver: Solver, first: int, second: int, a: gtsam.Pose3, b: gtsam.Pose3) -> GaussianPose:

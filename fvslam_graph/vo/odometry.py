@@ -230,9 +230,8 @@ class VisualOdometry:
         kept = np.ones(len(tracks), bool)
         kept[theirs[~inliers]] = False
         # The map's scale is uncertain, and the distance travelled in it likewise.
-        travel = np.concatenate([np.zeros(3), ref_T_cur.rotation().unrotate(ref_T_cur.translation())])
-        covariance = covariance + self._map.variance * np.outer(travel, travel)
-        return _Motion(GaussianPose(ref_T_cur, covariance), tracks[kept], self._map)
+        motion = GaussianPose(ref_T_cur, covariance).with_scale_variance(self._map.variance)
+        return _Motion(motion, tracks[kept], self._map)
 
     def _turn(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion:
         """Rotation alone; both it and the translation are as uncertain as the parallax that may hide in it."""

@@ -45,12 +45,12 @@ def test_independent_errors_would_be_too_sure():
 
 def test_without_a_shared_error_it_is_the_kalman_filter():
     scales = ScaleFilter(SETTINGS.model_copy(update={"shared_sigma": 1e-9}))
-    predicted, measured = LogScale(1.0, 0.04), LogScale(2.0, 0.01)
-    for _ in range(3):
-        updated = scales.update(predicted, measured)
-        assert updated.mean == pytest.approx(predicted.fused(measured).mean, abs=1e-9)
-        assert updated.variance == pytest.approx(predicted.fused(measured).variance, abs=1e-9)
-        predicted = updated
+    scale, measured = LogScale(1.0, 1 / 25), LogScale(2.0, 1 / 100)
+    for count in range(1, 4):
+        scale = scales.update(scale, measured)
+        information = 25 + 100 * count
+        assert scale.mean == pytest.approx((1.0 * 25 + 2.0 * 100 * count) / information, abs=1e-9)
+        assert scale.variance == pytest.approx(1 / information, abs=1e-9)
 
 
 def test_what_is_known_of_the_shared_error_outlasts_the_map():
