@@ -42,8 +42,8 @@ class Solver:
     def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
         """Take in new factors, first values of new variables, and the time (s) of all variables seen now.
 
-        Where that fails, all is solved anew by QR. A variable that the factors do not determine is named, and gets a
-        weak prior.
+        Where that fails, the variable that the factors do not determine is named, gets a weak prior, and all is solved
+        anew; where that does not suffice, by QR.
 
         Raises:
             EstimationError: It cannot be repaired.
@@ -127,20 +127,22 @@ class Solver:
         if self._settings.lag is not None:
             self._keep_within(values)
         stamps = {key: self._stamps[key] for key in values.keys()}  # noqa: SIM118
-        for _ in range(ATTEMPTS):
-            if self._factorization == "CHOLESKY" and self._settings.landmarks != "smart":
-                # Squares of numbers that differ by a thousand may be what is not sound; QR is slower, and needs none.
+        for attempt in range(ATTEMPTS):
+            found = _NAMED.search(str(error))
+            named = found is not None and values.exists(int(found[1]))
+            if (attempt > 0 or not named) and self._factorization == "CHOLESKY" and self._settings.landmarks != "smart":
+                # Squares of numbers that differ by a thousand may be what is not sound. QR needs none, but is slower,
+                # and stays.
                 self._factorization = "QR"
-            else:
-                found = _NAMED.search(str(error))
-                if found is None or not values.exists(int(found[1])):
-                    break
+            elif found is not None and named:
                 key = int(found[1])
                 name = gtsam.DefaultKeyFormatter(key)
                 sigma = WEAK / 10 ** self.repaired.count(name)  # stronger, where it did not help
                 _log.warning("%s is not determined by what was measured; it is held within %g", name, sigma)
                 self.repaired.append(name)
                 self._add(_prior(key, values, sigma))
+            else:
+                break
             self._solver = self._empty()
             try:
                 self._advance(self.factors(), values, stamps)
