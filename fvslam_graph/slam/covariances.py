@@ -55,7 +55,10 @@ def innovation(jacobian: scipy.sparse.csr_array, covariance: Array, sigma: float
 
 
 def inverse_root(covariance: Array) -> Array:
-    """The lower triangular L^-1 of P = L L^T, which makes numbers of covariance P (k, k) independent, of variance 1."""
+    """The lower triangular L^-1 of P = L L^T, which makes numbers of covariance P (k, k) independent, of variance 1.
+
+    P is positive definite, as the covariance of innovations is, which holds the noise of the pixels.
+    """
     root, _ = lapack.dpotrf(covariance, lower=1)
     inverse: Array = lapack.dtrtri(root, lower=1, overwrite_c=1)[0]
     return inverse

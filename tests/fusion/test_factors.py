@@ -107,6 +107,19 @@ def test_kernels_bound_what_an_outlier_costs(kernel):
             assert bounded == pytest.approx(plain, rel=1e-3)
 
 
+@pytest.mark.parametrize("kernel", ["huber", "cauchy", "geman_mcclure"])
+def test_kernels_weigh_honest_measurements_alike(kernel):
+    """However many numbers they have: of one width for all, the kernel would take most of the weight of a motion."""
+    rng = np.random.default_rng(0)
+    weights = []
+    for size in (1, 2, 6):
+        estimator = robust(gtsam.noiseModel.Isotropic.Sigma(size, 1.0), GraphSettings(kernel=kernel)).robust()
+        norms = np.linalg.norm(rng.standard_normal((2000, size)), axis=1)
+        weights.append(np.mean([estimator.weight(norm) for norm in norms]))
+    assert min(weights) > 0.6
+    assert max(weights) - min(weights) < 0.15
+
+
 def test_bearing_and_range_hold_the_covariance_of_the_point():
     point, rng = np.array([1.0, -0.5, 6.0]), np.random.default_rng(1)
     mixing = 0.05 * rng.standard_normal((3, 3))
