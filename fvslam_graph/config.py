@@ -128,14 +128,17 @@ class GraphSettings(_Group):
     landmarks: Literal["projection", "bearing_range", "smart", "none"] = "projection"
     kernel: Literal["huber", "cauchy", "geman_mcclure", "none"] = "cauchy"
     kernel_width: PositiveFloat = 2.385  # deviations beyond which a measurement counts for less; 95 % efficient
-    # No pixel counts twice: tracks that are landmarks are left out of odometry, or odometry counts for less.
-    counting: Literal["disjoint", "deflated", "double"] = "disjoint"
-    deflation: PositiveFloat = 2.0  # of the covariance of odometry, where `deflated`
-    # Of the variance of odometry's scale, what a motion errs on its own; the rest it shares with those around it.
-    scale_share: float = Field(0.2, gt=0, le=1)
+    # No pixel counts twice: odometry counts for as much less as landmarks count (with `shared_noise`, that is little),
+    # or it does without tracks that are landmarks.
+    counting: Literal["deflated", "disjoint", "double"] = "deflated"
+    deflation: PositiveFloat = 1.02  # of the covariance of odometry, where `deflated`
+    # Odometry's lengths have a scale in common, which is smoothed with all else; or each one its own.
+    lengths: Literal["chained", "independent"] = "chained"
     # What the online pose is: the last one and the motion since (P_f), or where the graph now has the camera.
     online: Literal["motion", "pose"] = "motion"
-    pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark aligned with its reference patch, along each axis
+    pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark along each axis, until its noise was measured
+    # What all landmarks of an image err alike, in deviations of one of them: their number does not average that out.
+    shared_noise: float = Field(1.5, ge=0)
     min_views: int = Field(3, ge=2)  # of a landmark that enters the graph
     max_zoom: float = Field(1.6, ge=1)  # nearer or farther than at first by this factor, its patch looks too different
     min_parallax: PositiveFloat = 3.0  # pixels between the first and the last view of a landmark that enters

@@ -65,6 +65,25 @@ class LogScale:
 
 
 @dataclass(frozen=True)
+class ScaleStep:
+    """Where the scale of a baseline comes from: what a filter of the scale, or a smoother, needs to know of one step.
+
+    Attributes:
+        length: What odometry makes of it all: log(metres) of the baseline.
+        carried: What the map says, in the scale that the last baseline had; the variance is what the step adds.
+        measured: What the scale source says, with the variance of what is new in it; None where it does not speak.
+        shared: Variance of what the source errs likewise in neighbouring steps,
+        lasting: and the share of this error that lasts to the next step.
+    """
+
+    length: LogScale
+    carried: LogScale
+    measured: LogScale | None = None
+    shared: float = 0.0
+    lasting: float = 0.0
+
+
+@dataclass(frozen=True)
 class Views:
     """What one image shows of N landmarks.
 

@@ -141,7 +141,7 @@ def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None
 
 def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Sequence) -> None:
     """A frame with what odometry says of it, for the factor graph."""
-    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, odometry.measured, odometry.map.variance)
+    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, odometry.scale, odometry.map.variance)
     if graph.settings.heights and sequence.ground is not None and frame.height > 0:
         graph.add_height(frame.height, frame.height_sigma, sequence.ground.normal)
 
@@ -223,7 +223,7 @@ def _true_baseline(sequence: Sequence, config: Config) -> Callable[[int, int], f
 
 def _measures(config: Config, odometry: VoEstimate | None, slam: SlamEstimate | None) -> dict[str, float]:
     """Columns of frames.csv; NaN for a block that did not run on this frame."""
-    scale = odometry and odometry.scale
+    scale = odometry.scale.length if odometry and odometry.scale else None
     measures = {
         "tracks": math.nan if odometry is None else odometry.found,
         "inliers": math.nan if odometry is None else len(odometry.tracks),

@@ -23,7 +23,8 @@ from pydantic import BaseModel
 
 from fvslam_graph.errors import ResultsError
 from fvslam_graph.files import replacing, write_json, writing
-from fvslam_graph.fusion.graph import FACTORS, G2O, LANDMARKS_PLY, VALUES, Graph
+from fvslam_graph.fusion.graph import Graph
+from fvslam_graph.fusion.graph_files import FACTORS, G2O, LANDMARKS_PLY, VALUES
 from fvslam_graph.landmark_table import COLUMNS, landmark_rows
 from fvslam_graph.provenance import peak_memory_mb, provenance
 from fvslam_graph.results import FrameResult, Relatives, Run

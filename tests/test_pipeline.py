@@ -217,7 +217,7 @@ def test_any_mode_runs_on_simulated_points(mode):
     """Without images; with noise, errors are small, and not larger than the covariances allow."""
     scene = simulate_drive(frames=40, seed=3, noise=0.5, landmarks=6000)
     noise = ["vo.ransac_threshold=1", "slam.pixel_sigma=0.5", "graph.pixel_sigma=0.5"]  # as strong as it is
-    settings = [f"mode={mode}", "scale.source=oracle", "graph.scale_share=1", *noise]
+    settings = [f"mode={mode}", "scale.source=oracle", *noise]
     results = list(run(scene, load_config(settings=settings)))
     errors, covariances = pose_errors(scene, results)
     assert 1e-3 < np.linalg.norm(errors[-1, 3:]) < 0.3  # metres on 32 m; measured 0.03

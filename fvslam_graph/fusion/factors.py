@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, LogScale
+from fvslam_graph.estimates import GaussianPose
 
 Array = NDArray[np.float64]
 
 LEAST_VARIANCE = 1e-12  # rad^2 and m^2: no factor is exact
-SHORT = 1e-3  # metres; shorter motions have no direction that could be told
-CARRIED_SIGMA = 0.3  # of the log length of a motion about whose scale no source has spoken: what keeps it determined
+SHORT = 1e-3  # metres; shorter motions have no direction that could be told, nor a length along it
 
 _KERNELS: dict[str, Callable[[float], gtsam.noiseModel.mEstimator.Base]] = {
     "huber": gtsam.noiseModel.mEstimator.Huber.Create,
@@ -32,8 +31,13 @@ def pose_key(frame: int) -> int:
 
 
 def is_pose(key: int) -> bool:
-    """Whether a variable is a pose, and not a landmark."""
+    """Whether a variable is a pose."""
     return bool(gtsam.Symbol(key).chr() == ord("x"))
+
+
+def is_landmark(key: int) -> bool:
+    """Whether a variable is a landmark."""
+    return bool(gtsam.Symbol(key).chr() == ord("l"))
 
 
 def landmark_key(landmark: int) -> int:
@@ -41,30 +45,33 @@ def landmark_key(landmark: int) -> int:
     return int(gtsam.symbol("l", landmark))
 
 
-def robust(model: gtsam.noiseModel.Base, settings: GraphSettings) -> gtsam.noiseModel.Base:
+def robust(model: gtsam.noiseModel.Base, settings: GraphSettings, share: float = 1.0) -> gtsam.noiseModel.Base:
     """The noise with the configured kernel, whose width is in standard deviations of a single number.
 
     A kernel sees the norm of all numbers of a measurement, which grows with the root of how many there are.
+
+    Args:
+        model: The noise.
+        settings: Which kernel, how wide.
+        share: Of the deviation, by which outliers are told from the rest.
     """
     if settings.kernel == "none":
         return model
-    width = settings.kernel_width * math.sqrt(model.dim())
+    width = share * settings.kernel_width * math.sqrt(model.dim())
     return gtsam.noiseModel.Robust.Create(_KERNELS[settings.kernel](width), model)
 
 
-def odometry_factors(
-    previous: int, index: int, prev_T_cur: GaussianPose, length: LogScale | None, settings: GraphSettings
-) -> list[gtsam.NonlinearFactor]:
+def motion_factor(
+    previous: int, index: int, prev_T_cur: GaussianPose, settings: GraphSettings
+) -> gtsam.NonlinearFactor:
     """A motion of odometry between two frames.
 
-    As `between`, it has six degrees of freedom, its scale with the uncertainty that odometry gives it. As `essential`,
-    it has the five that two views measure, and the length is a factor of its own: what the scale source says of this
-    baseline alone.
+    As `between`, it has six degrees of freedom. As `essential`, it has the five that two views measure, and says
+    nothing of the length.
 
     Args:
         previous, index: The frames.
         prev_T_cur: The motion.
-        length: What the scale source says; None where it does not speak.
         settings: Kind of factor, kernel, deflation.
     """
     keys = pose_key(previous), pose_key(index)
@@ -73,18 +80,20 @@ def odometry_factors(
     distance = float(np.linalg.norm(prev_T_cur.mean.translation()))
     if settings.odometry == "between" or distance < SHORT:
         noise = robust(gtsam.noiseModel.Gaussian.Covariance(covariance), settings)
-        return [gtsam.BetweenFactorPose3(*keys, prev_T_cur.mean, noise)]
+        return gtsam.BetweenFactorPose3(*keys, prev_T_cur.mean, noise)
     direction = gtsam.Unit3(prev_T_cur.mean.translation())
     by_pose = np.zeros((5, 6))
     by_pose[:3, :3] = np.eye(3)
     by_pose[3:, 3:] = direction.basis().T @ prev_T_cur.mean.rotation().matrix() / distance
     noise = robust(gtsam.noiseModel.Gaussian.Covariance(by_pose @ covariance @ by_pose.T), settings)
     essential = gtsam.EssentialMatrix(prev_T_cur.mean.rotation(), direction)
-    metres, sigma = (distance, CARRIED_SIGMA) if length is None else (np.exp(length.mean), np.sqrt(length.variance))
-    return [
-        gtsam.EssentialMatrixConstraint(*keys, essential, noise),
-        gtsam.RangeFactorPose3(*keys, metres, gtsam.noiseModel.Isotropic.Sigma(1, metres * sigma)),
-    ]
+    return gtsam.EssentialMatrixConstraint(*keys, essential, noise)
+
+
+def length_factor(previous: int, index: int, metres: float, sigma: float) -> gtsam.NonlinearFactor:
+    """How far apart the camera was at two frames, with its standard deviation, metres."""
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, sigma)
+    return gtsam.RangeFactorPose3(pose_key(previous), pose_key(index), metres, noise)
 
 
 class LandmarkFactors:
@@ -98,13 +107,22 @@ class LandmarkFactors:
     def __init__(self, camera: Camera, settings: GraphSettings) -> None:
         self.calibration = gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
         self._settings = settings
-        self._pixel = gtsam.noiseModel.Isotropic.Sigma(2, settings.pixel_sigma)
-        self._noise = robust(self._pixel, settings)
 
-    def projection(self, frame: int, landmark: int, pixel: Array) -> gtsam.NonlinearFactor:
-        """A pixel (2,)."""
+    def deviation(self, sigma: float, count: int) -> float:
+        """Of a pixel that errs by `sigma` along each axis on its own, in an image with so many landmarks.
+
+        What they all err alike, by calibration and by what makes tracks drift, does not average out. A covariance
+        s^2 v v^T, whatever the pattern v of numbers up to 1, is at most N s^2 I, for N landmarks: with that added to
+        the variance of each one, they may be taken as independent.
+        """
+        return sigma * math.sqrt(1 + count * self._settings.shared_noise**2)
+
+    def projection(self, frame: int, landmark: int, pixel: Array, sigma: float, count: int) -> gtsam.NonlinearFactor:
+        """A pixel (2,), see `deviation`; outliers are told by what it errs on its own."""
+        deviation = self.deviation(sigma, count)
+        noise = robust(gtsam.noiseModel.Isotropic.Sigma(2, deviation), self._settings, sigma / deviation)
         keys = pose_key(frame), landmark_key(landmark)
-        return gtsam.GenericProjectionFactorCal3_S2(pixel, self._noise, *keys, self.calibration, False, False)
+        return gtsam.GenericProjectionFactorCal3_S2(pixel, noise, *keys, self.calibration, False, False)
 
     def bearing_range(self, frame: int, landmark: int, point: Array, covariance: Array) -> gtsam.NonlinearFactor:
         """A point (3,) in the camera with its covariance (3, 3), metres."""
@@ -115,10 +133,11 @@ class LandmarkFactors:
         keys = pose_key(frame), landmark_key(landmark)
         return gtsam.BearingRangeFactor3D(*keys, bearing, distance, robust(noise, self._settings))
 
-    def smart(self, views: list[tuple[int, Array]]) -> gtsam.NonlinearFactor:
-        """All views (frame, pixel) of a landmark, which is eliminated in the factor itself."""
+    def smart(self, views: list[tuple[int, Array]], sigma: float, count: int) -> gtsam.NonlinearFactor:
+        """All views (frame, pixel) of a landmark, which is eliminated in the factor itself; see `deviation`."""
         parameters = gtsam.SmartProjectionParams()
-        factor = gtsam.SmartProjectionPoseFactorCal3_S2(self._pixel, self.calibration, parameters)
+        noise = gtsam.noiseModel.Isotropic.Sigma(2, self.deviation(sigma, count))
+        factor = gtsam.SmartProjectionPoseFactorCal3_S2(noise, self.calibration, parameters)
         for frame, pixel in views:
             factor.add(pixel, pose_key(frame))
         return factor

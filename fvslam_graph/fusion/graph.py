@@ -11,24 +11,29 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, LogScale, Views
+from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
 from fvslam_graph.fusion.factors import (
+    SHORT,
     LandmarkFactors,
     height_factor,
+    is_landmark,
     is_pose,
     landmark_key,
-    odometry_factors,
+    length_factor,
+    motion_factor,
     pose_factor,
     pose_key,
 )
+from fvslam_graph.fusion.graph_files import write_graph
 from fvslam_graph.fusion.newcomers import Newcomers, View
+from fvslam_graph.fusion.pixel_noise import PixelNoise
 from fvslam_graph.fusion.plausibility import Plausibility
+from fvslam_graph.fusion.scale_chain import ScaleChain
 from fvslam_graph.fusion.solver import Solver
 from fvslam_graph.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
 RECENT = 60  # frames before the last fusion whose poses the next one can still use
 
 
@@ -48,6 +53,9 @@ class Graph:
         self._landmark_factors = LandmarkFactors(camera, settings)
         self._plausibility = Plausibility()
         self._newcomers = Newcomers(camera, settings)
+        self._noise = PixelNoise(camera, settings.pixel_sigma)
+        self._scales = ScaleChain(self.add, self._insert, self._has)
+        self._counts: dict[int, int] = {}  # landmarks that each interleaved frame shows
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
         self._stamps: list[float] = []  # of all frames
         self._poses: list[gtsam.Pose3] = []  # world_T_camera of all frames, as known last
@@ -60,7 +68,7 @@ class Graph:
         stamp: float,
         previous: int,
         prev_T_cur: GaussianPose,
-        length: LogScale | None = None,
+        scale: ScaleStep | None = None,
         scale_variance: float = 0.0,
     ) -> None:
         """The next frame, with its motion since an earlier one.
@@ -69,7 +77,7 @@ class Graph:
             stamp: Seconds.
             previous: The frame that the motion starts from.
             prev_T_cur: The motion.
-            length: What the scale source says about its length; None where it does not speak.
+            scale: What was learnt of its scale; None where it has that of the map in the earlier frame.
             scale_variance: How much of the covariance is due to the logarithm of the scale.
         """
         index = len(self._poses)
@@ -79,19 +87,15 @@ class Graph:
             self.add(pose_factor(0, GaussianPose.identity()))
         else:
             motion = self._plausibility.checked(prev_T_cur, stamp - self._stamps[previous])
-            if motion is prev_T_cur:
-                # A scale that all motions have in common bends nothing. Were it taken as each one's own, landmarks
-                # would decide the lengths of motions against each other, which odometry knows better.
-                motion = motion.with_scale_variance((self.settings.scale_share - 1) * scale_variance)
-            else:
-                length = None
+            if motion is not prev_T_cur:
+                scale, scale_variance = None, 0.0
             self._poses.append(self._poses[previous].compose(motion.mean))
             if self.settings.lag is not None and stamp - self._stamps[previous] > self.settings.lag:
                 # What odometry refers to is no longer kept: a camera that stands still has an old reference.
                 previous = index - 1
                 motion = GaussianPose(self._poses[previous].between(self._poses[index]), motion.covariance)
-            for factor in odometry_factors(previous, index, motion, length, self.settings):
-                self.add(factor)
+                scale, scale_variance = None, 0.0
+            self._move(previous, index, motion, scale, scale_variance)
         self._values.insert(pose_key(index), self._poses[-1])
         self._seen[pose_key(index)] = stamp
 
@@ -115,6 +119,8 @@ class Graph:
         if views is not None and self.settings.landmarks != "none":
             self._see(index, views)
         self._solve()
+        if views is not None:
+            self._learn(views)
         first, self._fused = self._fused, index
         return _motion(self.solver, pose_key(first), pose_key(index), self._poses[first], self._poses[index])
 
@@ -145,32 +151,33 @@ class Graph:
     def landmarks(self) -> Array:
         """(N, 3) all landmarks that are kept, in the world, metres."""
         estimate = self.solver.values()
-        points = [estimate.atPoint3(key) for key in estimate.keys() if not is_pose(key)]  # noqa: SIM118
+        points = [estimate.atPoint3(key) for key in estimate.keys() if is_landmark(key)]  # noqa: SIM118
         return np.array(points).reshape(-1, 3)
 
     def write(self, folder: Path) -> None:
-        """Write the graph: poses and motions as g2o, which knows no pixels; landmarks as PLY; all of it as GTSAM does.
+        """Write the graph into a folder, see `write_graph`."""
+        estimate = self.solver.values()
+        write_graph(folder, self.solver.factors(), estimate, self._scales.lengths(estimate))
 
-        `graph.gtsam` and `values.gtsam` are GTSAM's own serialisation; read back, their error is the same. There is no
-        `graph.gtsam` for odometry as `essential`, since GTSAM has no serialisation of EssentialMatrixConstraint.
-        """
-        factors, estimate = self.solver.factors(), self.solver.values()
-        poses, motions = gtsam.Values(), gtsam.NonlinearFactorGraph()
-        for key in estimate.keys():  # noqa: SIM118
-            if is_pose(key):
-                poses.insert(gtsam.Symbol(key).index(), estimate.atPose3(key))
-        for slot in range(factors.size()):
-            factor = factors.at(slot)
-            if isinstance(factor, gtsam.BetweenFactorPose3):
-                motions.add(_plain(factor))
-        gtsam.writeG2o(motions, poses, str(folder / G2O))
-        if self.settings.odometry != "essential":
-            (folder / FACTORS).write_text(factors.serialize())
-        (folder / VALUES).write_text(estimate.serialize())
-        (folder / LANDMARKS_PLY).write_text(_ply(self.landmarks()))
+    def _move(
+        self, previous: int, index: int, motion: GaussianPose, scale: ScaleStep | None, scale_variance: float
+    ) -> None:
+        """The factors of a motion of odometry, of whose covariance so much is due to its scale."""
+        length = float(np.linalg.norm(motion.mean.translation()))
+        if self.settings.lengths == "chained" and scale_variance > 0:
+            for key in self._scales.extend(previous, index, scale, scale_variance):
+                self._seen[key] = self._stamps[index]
+            own = motion.with_scale_variance(-scale_variance)
+            motion = self._scales.measure(previous, index, own, self._poses[previous])
+        elif self.settings.odometry == "essential" and length > SHORT:
+            travel = motion.mean.rotation().unrotate(motion.mean.translation() / length)
+            sigma = math.sqrt(float(travel @ motion.covariance[3:, 3:] @ travel))
+            self.add(length_factor(previous, index, length, sigma))
+        self.add(motion_factor(previous, index, motion, self.settings))
 
     def _see(self, index: int, views: Views) -> None:
         """Landmarks of the graph are seen again; others enter once they are known well enough."""
+        self._counts[index] = len(views.ids)
         known = np.array([landmark in self._distances for landmark in views.ids.tolist()], bool)
         for n in np.flatnonzero(known):
             landmark = int(views.ids[n])
@@ -180,11 +187,18 @@ class Graph:
             away = candidate.position - self._poses[candidate.views[0].frame].translation()
             self._distances[candidate.landmark] = float(np.linalg.norm(away))
             if self.settings.landmarks == "smart":
-                self.add(self._landmark_factors.smart([(view.frame, view.pixel) for view in candidate.views]))
+                seen = [(view.frame, view.pixel) for view in candidate.views]
+                self.add(self._landmark_factors.smart(seen, self._noise.sigma, self._counts[index]))
                 continue
             self._values.insert(landmark_key(candidate.landmark), candidate.position)
             for view in candidate.views:
                 self._observe(candidate.landmark, view)
+
+    def _learn(self, views: Views) -> None:
+        """How well the landmarks that are seen now fit where the graph has them."""
+        keys = {landmark: landmark_key(landmark) for landmark in views.ids.tolist()}
+        points = {landmark: self.solver.point(key) for landmark, key in keys.items() if self.solver.has(key)}
+        self._noise.learn(points, self._poses)
 
     def _near(self, landmark: int, point: Array) -> bool:
         """Whether a landmark looks as it did at first: it is about as far away."""
@@ -193,7 +207,9 @@ class Graph:
 
     def _observe(self, landmark: int, view: View) -> None:
         if self.settings.landmarks == "projection":
-            self.add(self._landmark_factors.projection(view.frame, landmark, view.pixel))
+            count = self._counts[view.frame]
+            self.add(self._landmark_factors.projection(view.frame, landmark, view.pixel, self._noise.sigma, count))
+            self._noise.see(landmark, view.frame, view.pixel)
         elif not np.isnan(view.point).any():
             self.add(self._landmark_factors.bearing_range(view.frame, landmark, view.point, view.covariance))
         self._seen[landmark_key(landmark)] = self._stamps[-1]
@@ -202,12 +218,16 @@ class Graph:
         """Whether a variable is in the graph, or about to enter it."""
         return self._values.exists(key) or self.solver.has(key)
 
+    def _insert(self, key: int, value: float) -> None:
+        self._values.insert(key, value)
+
     def _solve(self) -> None:
         self.solver.update(self._factors, self._values, self._seen)
         for index in range(max(self._fused - RECENT, 0), len(self._poses)):
             if self.solver.has(pose_key(index)):
                 self._poses[index] = self.solver.pose(pose_key(index))
         if self.settings.lag is not None:
+            self._scales.forget()
             within = (item for item in self._distances.items() if self.solver.has(landmark_key(item[0])))
             self._distances = dict(within)
         self._begin_batch()
@@ -224,19 +244,3 @@ def _motion(solver: Solver, first: int, second: int, a: gtsam.Pose3, b: gtsam.Po
     by_poses = np.hstack([-motion.inverse().AdjointMap(), np.eye(6)])
     covariance = by_poses @ solver.joint_covariance(first, second) @ by_poses.T
     return GaussianPose(motion, (covariance + covariance.T) / 2)
-
-
-def _plain(factor: gtsam.BetweenFactorPose3) -> gtsam.BetweenFactorPose3:
-    """The same without its robust kernel, between poses numbered by their frames: what g2o can hold."""
-    first, second = (gtsam.Symbol(key).index() for key in factor.keys())  # noqa: SIM118
-    noise = factor.noiseModel()
-    if isinstance(noise, gtsam.noiseModel.Robust):
-        noise = noise.noise()
-    return gtsam.BetweenFactorPose3(first, second, factor.measured(), noise)
-
-
-def _ply(points: Array) -> str:
-    """Points (N, 3) as a PLY file."""
-    axes = "".join(f"property float {axis}\n" for axis in "xyz")
-    header = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
-    return header + "".join(f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Callable
 
 import gtsam
 import numpy as np
@@ -11,11 +12,11 @@ from numpy.typing import NDArray
 
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
-from fvslam_graph.fusion.factors import is_pose
+from fvslam_graph.fusion.factors import is_landmark, is_pose
 
 _log = logging.getLogger(__name__)
 
-WEAK = 10.0  # rad and m: a prior that determines a variable and pulls at nothing
+WEAK = 10.0  # rad, m, of a logarithm: a prior that determines a variable and pulls at nothing
 HELD = 1e-3  # rad and m: the oldest pose within a lag, where what was before is lost
 TURNED = 1e-3  # rad; a pose that turns by more is linearised again
 ATTEMPTS = 20  # repairs of one update
@@ -104,6 +105,8 @@ class Solver:
         thresholds = gtsam.ISAM2ThresholdMap()
         thresholds.insert(("x", np.repeat([TURNED, self._settings.relinearise], 3)))
         thresholds.insert(("l", np.full(3, self._settings.relinearise)))
+        for linear in ("s", "b"):  # what depends on scales is linear
+            thresholds.insert((linear, np.ones(1)))
         parameters.setRelinearizeThreshold(thresholds)
         parameters.relinearizeSkip = 1
         parameters.setFactorization(self._factorization)
@@ -118,6 +121,7 @@ class Solver:
             self._solver.update(factors, values)
         else:
             self._solver.update(factors, values, stamps)
+        self._solver.calculateEstimatePose3(next(key for key in stamps if is_pose(key)))  # throws, too, if at all
 
     def _repair(self, error: RuntimeError) -> None:
         """A solver that has thrown is not sound: begin a new one with all factors, until it does not throw."""
@@ -126,40 +130,57 @@ class Solver:
             values.erase(key)
         if self._settings.lag is not None:
             self._keep_within(values)
-        stamps = {key: self._stamps[key] for key in values.keys()}  # noqa: SIM118
-        for attempt in range(ATTEMPTS):
+        held: set[int] = set()
+        for _ in range(ATTEMPTS):
             found = _NAMED.search(str(error))
-            named = found is not None and values.exists(int(found[1]))
-            if (attempt > 0 or not named) and self._factorization == "CHOLESKY" and self._settings.landmarks != "smart":
+            key = int(found[1]) if found is not None and values.exists(int(found[1])) else None
+            if key is not None and key not in held:
+                held.add(key)
+                name = gtsam.DefaultKeyFormatter(key)
+                _log.warning("%s is not determined by what was measured; it is held within %g", name, WEAK)
+                self.repaired.append(name)
+                self._add(_prior(key, values, WEAK))
+            elif self._factorization == "CHOLESKY" and self._settings.landmarks != "smart":
                 # Squares of numbers that differ by a thousand may be what is not sound. QR needs none, but is slower,
                 # and stays.
                 self._factorization = "QR"
-            elif found is not None and named:
-                key = int(found[1])
-                name = gtsam.DefaultKeyFormatter(key)
-                sigma = WEAK / 10 ** self.repaired.count(name)  # stronger, where it did not help
-                _log.warning("%s is not determined by what was measured; it is held within %g", name, sigma)
-                self.repaired.append(name)
-                self._add(_prior(key, values, sigma))
-            else:
+            elif not self._drop_newest_landmarks(values):
                 break
             self._solver = self._empty()
             try:
-                self._advance(self.factors(), values, stamps)
+                self._advance(self.factors(), values, {key: self._stamps[key] for key in values.keys()})  # noqa: SIM118
             except RuntimeError as again:
                 error = again
             else:
                 return
         raise EstimationError(f"the factor graph cannot be solved: {' '.join(str(error).split())}") from error
 
+    def _drop_newest_landmarks(self, values: gtsam.Values) -> bool:
+        """Do without the landmarks that the newest factors are about; whether there are any."""
+        now = self._factors[-1][0]
+        newest = [batch.at(slot) for stamp, batch in self._factors if stamp == now for slot in range(batch.size())]
+        keys = {key for factor in newest if factor is not None for key in factor.keys()}  # noqa: SIM118
+        dropped = {key for key in keys if is_landmark(key)}
+        for key in dropped:
+            values.erase(key)
+        self._remove(lambda key: key in dropped)
+        if dropped:
+            _log.warning("the graph does without the %d landmarks that were seen last", len(dropped))
+        return bool(dropped)
+
     def _keep_within(self, values: gtsam.Values) -> None:
         """Of the factors, keep those whose variables are all within the lag; the oldest pose stays where it is."""
-        for _, batch in self._factors:
-            for slot in range(batch.size()):
-                if any(not values.exists(key) for key in batch.at(slot).keys()):  # noqa: SIM118
-                    batch.remove(slot)
+        self._remove(lambda key: not values.exists(key))
         oldest = min((key for key in values.keys() if is_pose(key)), key=lambda key: self._stamps[key])  # noqa: SIM118
         self._add(_prior(oldest, values, HELD))
+
+    def _remove(self, gone: Callable[[int], bool]) -> None:
+        """Remove all factors about variables that are gone."""
+        for _, batch in self._factors:
+            for slot in range(batch.size()):
+                factor = batch.at(slot)
+                if factor is not None and any(gone(key) for key in factor.keys()):  # noqa: SIM118
+                    batch.remove(slot)
 
     def _add(self, factor: gtsam.NonlinearFactor) -> None:
         batch = gtsam.NonlinearFactorGraph()
@@ -171,4 +192,6 @@ def _prior(key: int, values: gtsam.Values, sigma: float) -> gtsam.NonlinearFacto
     """That a variable is where it is."""
     if is_pose(key):
         return gtsam.PriorFactorPose3(key, values.atPose3(key), gtsam.noiseModel.Isotropic.Sigma(6, sigma))
-    return gtsam.PriorFactorPoint3(key, values.atPoint3(key), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
+    if is_landmark(key):
+        return gtsam.PriorFactorPoint3(key, values.atPoint3(key), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
+    return gtsam.PriorFactorDouble(key, values.atDouble(key), gtsam.noiseModel.Isotropic.Sigma(1, sigma))

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import GaussianPose, LogScale
+from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.trajectory import Status
@@ -28,8 +28,7 @@ class VoEstimate:
         status: How it came about.
         found: How many points of the reference were found in this frame.
         tracks: Those that agree with the motion.
-        scale: Of the baseline between the two; None where none was estimated.
-        measured: What the scale source says about this baseline alone; None where it does not speak.
+        scale: Of the baseline between the two, and where it comes from; None where none was estimated.
         map: What is known of the depths of these tracks in this frame.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         times: Milliseconds by stage.
@@ -41,8 +40,7 @@ class VoEstimate:
     status: Status
     found: int = 0
     tracks: Tracks = field(default_factory=Tracks.none)
-    scale: LogScale | None = None
-    measured: LogScale | None = None
+    scale: ScaleStep | None = None
     map: MetricMap = field(default_factory=MetricMap.empty)
     parallax: float = math.nan
     times: dict[str, float] = field(default_factory=dict)

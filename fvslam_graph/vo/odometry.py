@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import Config, ScaleSource
-from fvslam_graph.estimates import GaussianPose, LogScale
+from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
@@ -45,15 +45,13 @@ class _Motion:
         ref_T_cur: Pose and its covariance.
         tracks: Those that agree with it.
         map: Of the reference, with what was learnt.
-        scale: Of the baseline, where it was estimated,
-        measured: and what the scale source itself says about it.
+        scale: Of the baseline, where it was estimated.
     """
 
     ref_T_cur: GaussianPose
     tracks: Tracks
     map: MetricMap
-    scale: LogScale | None = None
-    measured: LogScale | None = None
+    scale: ScaleStep | None = None
 
 
 class VisualOdometry:
@@ -209,10 +207,10 @@ class VisualOdometry:
             )
             guesses = [self._guess(unit), self._motion_model.distance(frame.stamp - self._reference.stamp)]
             fallback = min(filter(None, guesses), key=lambda guess: guess.variance)
-            scale, known, measured = self._scale.estimate(
+            scale, known = self._scale.estimate(
                 self._reference, frame, two_view, previous, unit, self._map, fallback, self._rng
             )
-        return _Motion(metric_pose(two_view, scale), tracks, known, scale, measured)
+        return _Motion(metric_pose(two_view, scale.length), tracks, known, scale)
 
     def _move_in_map(self, tracks: Tracks) -> _Motion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
@@ -252,7 +250,7 @@ class VisualOdometry:
         seen = rays(self.camera, motion.tracks.reference[theirs])
         depths = motion.map.depths[mine].moved(seen, motion.ref_T_cur.mean)
         here = MetricMap(depths, motion.map.variance)
-        return replace(estimate, tracks=motion.tracks, scale=motion.scale, measured=motion.measured, map=here)
+        return replace(estimate, tracks=motion.tracks, scale=motion.scale, map=here)
 
     def _lose(self, frame: Frame) -> VoEstimate:
         """The image does not fit the reference: a bad image is passed over, a changed scene becomes the reference."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.config import ScaleSettings, ScaleSource
 from fvslam_graph.errors import ConfigError
-from fvslam_graph.estimates import LogScale
+from fvslam_graph.estimates import LogScale, ScaleStep
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.vo.depth import InverseDepths
 from fvslam_graph.vo.ground import GroundAligner
@@ -79,7 +79,7 @@ class MetricScale:
         known: MetricMap,
         fallback: LogScale,
         rng: np.random.Generator,
-    ) -> tuple[LogScale, MetricMap, LogScale | None]:
+    ) -> tuple[ScaleStep, MetricMap]:
         """Scale of the baseline between two frames, and the map with this scale.
 
         The map predicts the scale, the source measures it, and a Kalman filter fuses both: so one source pools many
@@ -95,28 +95,29 @@ class MetricScale:
             rng: For the ground plane's hypotheses.
 
         Returns:
-            The scale; the map in the previous frame, rescaled and with the new depths; and what the source itself says
-            about this baseline, None where it does not speak.
+            The scale and how it came about; and the map in the previous frame, rescaled and with the new depths.
         """
         ratio = self._ratio(unit, known.depths)
         predicted = fallback if ratio is None else LogScale(ratio.mean, ratio.variance + known.variance)
         if ratio is None:
             self._filter.forget()
-        measured: LogScale | None = None
+        carried = ratio or fallback
         if self.settings.source is ScaleSource.UNIT:
             scale = LogScale(0.0, 1.0)
+            step = ScaleStep(scale, carried=scale)
         elif self.settings.source is ScaleSource.ORACLE:
             assert self._true_baseline is not None
             baseline = self._true_baseline(previous.index, current.index)
             measured = LogScale(math.log(baseline), ORACLE_VARIANCE) if baseline > 0 else None
             scale = measured or predicted
+            step = ScaleStep(scale, carried, measured)
         else:
             plane = self._from_plane(previous, current, two_view, rays, unit, predicted, rng)
             scale = self._filter.update(predicted, plane)
-            measured = plane and LogScale(plane.mean, plane.variance + self.settings.shared_sigma**2)
+            step = ScaleStep(scale, carried, plane, self._filter.variance, self._filter.decay)
         old = known.depths if ratio is None else known.depths.scaled(scale.metres / predicted.metres)
         new = unit.scaled(scale.metres)
-        return scale, MetricMap(old.fused(new[new.values > 0]), scale.variance), measured
+        return step, MetricMap(old.fused(new[new.values > 0]), scale.variance)
 
     def _ratio(self, unit: InverseDepths, known: InverseDepths) -> LogScale | None:
         """Scale at which newly triangulated depths agree with known ones; None with too few points in common."""

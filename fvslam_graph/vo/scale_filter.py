@@ -20,9 +20,9 @@ class ScaleFilter:
     """
 
     def __init__(self, settings: ScaleSettings) -> None:
-        self._variance = settings.shared_sigma**2  # of the shared error where nothing is known of it
-        self._decay = math.exp(-1 / settings.shared_keyframes)
-        self._shared = LogScale(0.0, self._variance)
+        self.variance = settings.shared_sigma**2  # of the shared error where nothing is known of it
+        self.decay = math.exp(-1 / settings.shared_keyframes)  # from one keyframe to the next
+        self._shared = LogScale(0.0, self.variance)
         self._covariance = 0.0  # of the scale and the shared error
 
     def forget(self) -> None:
@@ -36,7 +36,7 @@ class ScaleFilter:
             predicted: As the map has it.
             measured: As the source has it, with its own variance alone; None where it does not speak.
         """
-        decay, variance = self._decay, self._variance
+        decay, variance = self.decay, self.variance
         shared = LogScale(decay * self._shared.mean, decay**2 * self._shared.variance + (1 - decay**2) * variance)
         covariance = decay * self._covariance
         if measured is None:

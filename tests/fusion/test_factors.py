@@ -6,13 +6,14 @@ import pytest
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, LogScale
+from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.factors import (
     LandmarkFactors,
     height_factor,
     is_pose,
     landmark_key,
-    odometry_factors,
+    length_factor,
+    motion_factor,
     pose_factor,
     pose_key,
     position_factor,
@@ -61,11 +62,10 @@ def test_keys():
 def test_five_degrees_of_freedom_and_a_length_are_six():
     variance = 0.02**2
     at = poses(gtsam.Pose3.Expmap(np.arange(6) / 7), gtsam.Pose3.Expmap(np.arange(6) / 7) * MOTION)
-    six = odometry_factors(0, 1, metric(variance), None, PLAIN)
-    length = LogScale(np.log(np.linalg.norm(MOTION.translation())), variance)
-    essential = PLAIN.model_copy(update={"odometry": "essential"})
-    five_and_one = odometry_factors(0, 1, metric(variance), length, essential)
-    assert (len(six), len(five_and_one)) == (1, 2)
+    six = [motion_factor(0, 1, metric(variance), PLAIN)]
+    length = float(np.linalg.norm(MOTION.translation()))
+    essential = motion_factor(0, 1, metric(variance), PLAIN.model_copy(update={"odometry": "essential"}))
+    five_and_one = [essential, length_factor(0, 1, length, np.sqrt(variance) * length)]
     assert all(factor.error(at) == pytest.approx(0, abs=1e-12) for factor in six + five_and_one)
     a, b = information(six, at), information(five_and_one, at)
     assert b == pytest.approx(a, abs=1e-3 * np.abs(a).max())
@@ -73,7 +73,7 @@ def test_five_degrees_of_freedom_and_a_length_are_six():
 
 
 def test_essential_says_nothing_of_the_length():
-    essential, _ = odometry_factors(0, 1, metric(1e-4), None, PLAIN.model_copy(update={"odometry": "essential"}))
+    essential = motion_factor(0, 1, metric(1e-4), PLAIN.model_copy(update={"odometry": "essential"}))
     longer = gtsam.Pose3(MOTION.rotation(), 3 * MOTION.translation())
     assert essential.error(poses(gtsam.Pose3(), longer)) == pytest.approx(0, abs=1e-12)
     aside = gtsam.Pose3(MOTION.rotation(), MOTION.translation() + np.array([0.1, 0, 0]))
@@ -82,14 +82,14 @@ def test_essential_says_nothing_of_the_length():
 
 def test_a_motion_without_direction_has_six_degrees_of_freedom():
     still = GaussianPose(gtsam.Pose3(), 1e-6 * np.eye(6))
-    (factor,) = odometry_factors(0, 1, still, None, GraphSettings(odometry="essential"))
+    factor = motion_factor(0, 1, still, GraphSettings(odometry="essential"))
     assert isinstance(factor, gtsam.BetweenFactorPose3)
 
 
 def test_deflated_odometry_counts_for_less():
     at = poses(gtsam.Pose3(), MOTION)
     deflated = PLAIN.model_copy(update={"counting": "deflated", "deflation": 4.0})
-    full, less = (information(odometry_factors(0, 1, metric(1e-4), None, s), at) for s in (PLAIN, deflated))
+    full, less = (information([motion_factor(0, 1, metric(1e-4), s)], at) for s in (PLAIN, deflated))
     assert less == pytest.approx(full / 4, rel=1e-3, abs=1e-3 * np.abs(full).max())
 
 
@@ -139,7 +139,7 @@ def test_bearing_and_range_hold_the_covariance_of_the_point():
 def test_projection_is_the_camera():
     point = np.array([1.0, -0.5, 6.0])
     pixel = CAMERA.project(point[None])[0]
-    factor = LandmarkFactors(CAMERA, PLAIN).projection(0, 3, pixel + np.array([PLAIN.pixel_sigma, 0]))
+    factor = LandmarkFactors(CAMERA, PLAIN).projection(0, 3, pixel + np.array([0.2, 0]), 0.2, 0)
     values = gtsam.Values()
     values.insert(pose_key(0), gtsam.Pose3())
     values.insert(landmark_key(3), point)

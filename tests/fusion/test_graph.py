@@ -8,7 +8,8 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.factors import landmark_key, pose_key, position_factor
-from fvslam_graph.fusion.graph import FACTORS, G2O, LANDMARKS_PLY, VALUES, Graph
+from fvslam_graph.fusion.graph import Graph
+from fvslam_graph.fusion.graph_files import FACTORS, G2O, LANDMARKS_PLY, VALUES
 from fvslam_graph.fusion.solver import Solver
 
 from .conftest import MOTION, error_of
@@ -148,16 +149,6 @@ def test_every_kind_of_graph_is_written(fed, tmp_path, kind, written):
 def test_the_same_bits(fed):
     a, b = fed(seed=4), fed(seed=4)
     assert np.array_equal(a.graph.smoothed().matrices, b.graph.smoothed().matrices)
-
-
-def test_a_scale_that_motions_share_is_not_each_ones_own():
-    graph = Graph(Camera(width=640, height=480, fx=400, fy=400, cx=320, cy=240), GraphSettings(scale_share=0.25))
-    step = gtsam.Pose3(gtsam.Rot3.Yaw(0.2), np.array([2.0, 0.0, 0.0]))
-    travel = np.concatenate([np.zeros(3), step.rotation().unrotate(step.translation())])
-    own, shared = 1e-4 * np.eye(6), 0.1**2 * np.outer(travel, travel)
-    graph.add_odometry(0.0, 0, GaussianPose.identity())
-    graph.add_odometry(0.1, 0, GaussianPose(step, own + shared), scale_variance=0.1**2)
-    assert graph.fuse(None).covariance == pytest.approx(own + 0.25 * shared, rel=1e-6, abs=1e-9)
 
 
 def test_a_pose_that_is_not_the_graphs_own(fed):

@@ -117,7 +117,7 @@ def test_an_uncertain_map_makes_an_uncertain_distance(flown):
         along = np.concatenate([np.zeros(3), travel]) / np.linalg.norm(travel)
         relative = np.sqrt(along @ estimate.prev_T_cur.covariance @ along) / np.linalg.norm(travel)
         keyframe = next(other for other in flown if other.index == estimate.previous)
-        assert np.sqrt(keyframe.scale.variance) < relative < 1.2 * np.sqrt(keyframe.scale.variance)
+        assert np.sqrt(keyframe.scale.length.variance) < relative < 1.2 * np.sqrt(keyframe.scale.length.variance)
 
 
 # Where metres come from
@@ -136,7 +136,7 @@ def test_map_keeps_one_scale(flight):
 
 def test_unit(drive):
     estimates = drive.run(settings=("scale.source=unit",))[1:]
-    assert [estimate.scale.metres for estimate in estimates] == [1.0] * 19
+    assert [estimate.scale.length.metres for estimate in estimates] == [1.0] * 19
     assert [length(estimate.prev_T_cur.mean) for estimate in estimates] == pytest.approx([1.0] * 19)
 
 

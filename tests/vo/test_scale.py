@@ -49,7 +49,7 @@ def world(camera, two_views):
 def estimate(world, source: str, known=None, height=HEIGHT, aligner=None, true_baseline=None, **settings):
     two_view, ray, unit, everything = world
     scale = MetricScale(ScaleSettings(source=ScaleSource(source), **settings), aligner, true_baseline)
-    known_scale, metric_map, _ = scale.estimate(
+    step, metric_map = scale.estimate(
         Frame(3, 0.3, GREY, height),
         Frame(5, 0.5, GREY, height),
         two_view,
@@ -59,7 +59,7 @@ def estimate(world, source: str, known=None, height=HEIGHT, aligner=None, true_b
         FALLBACK,
         np.random.default_rng(0),
     )
-    return known_scale, metric_map
+    return step.length, metric_map
 
 
 def test_map_carries_the_scale_exactly(world):
@@ -149,11 +149,12 @@ def test_an_uncertain_height_makes_an_uncertain_scale(world):
     two_view, ray, unit, _ = world
     metric = MetricScale(ScaleSettings(), Plumb(BASELINE / HEIGHT, 0.0), None)
     frames = [Frame(i, float(i), GREY, HEIGHT, height_sigma=0.1 * HEIGHT) for i in range(2)]
-    scale, _, measured = metric.estimate(
+    step, _ = metric.estimate(
         *frames, two_view, ray, unit, MetricMap.empty(), LogScale(0.0, 1e6), np.random.default_rng(0)
     )
-    assert scale.variance == pytest.approx(0.1**2 + 0.02**2 + 0.04**2, rel=1e-3)
-    assert measured is not None and measured.variance == pytest.approx(0.1**2 + 0.02**2 + 0.04**2)
+    assert step.length.variance == pytest.approx(0.1**2 + 0.02**2 + 0.04**2, rel=1e-3)
+    assert step.measured is not None and step.measured.variance == pytest.approx(0.1**2 + 0.02**2)
+    assert step.shared == pytest.approx(0.04**2)
 
 
 @pytest.mark.parametrize("height", [math.nan, 0.0, -1.0])

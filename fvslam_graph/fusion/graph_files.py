@@ -1,0 +1,81 @@
+"""The factor graph as files that other programs read: g2o, PLY, and GTSAM's own serialisation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.fusion.factors import is_landmark, is_pose, length_factor, pose_key
+from fvslam_graph.fusion.scale_chain import UNKNOWN_LENGTH
+
+G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
+
+Lengths = Mapping[tuple[int, int], tuple[float, float]]
+"""Metres and deviation of motions between two frames."""
+
+
+def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gtsam.Values, lengths: Lengths) -> None:
+    """Write poses and motions as g2o, which knows no pixels; landmarks as PLY; all of it as GTSAM does.
+
+    `graph.gtsam` and `values.gtsam` hold poses and landmarks; read back, they have the same optimum. The scale is given
+    there as the graph has found it, since GTSAM has no serialisation of linear factors. Nor has it one of
+    EssentialMatrixConstraint: a graph with such factors has no `graph.gtsam`.
+
+    Args:
+        folder: Exists.
+        factors, estimate: Of the solver.
+        lengths: Of motions whose length is not in their own factor, with the scale that was found.
+    """
+    values, poses, points = gtsam.Values(), gtsam.Values(), []
+    for key in estimate.keys():  # noqa: SIM118
+        if is_pose(key):
+            values.insert(key, estimate.atPose3(key))
+            poses.insert(gtsam.Symbol(key).index(), estimate.atPose3(key))
+        elif is_landmark(key):
+            values.insert(key, estimate.atPoint3(key))
+            points.append(estimate.atPoint3(key))
+    whole, motions = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
+    for slot in range(factors.size()):
+        factor = factors.at(slot)
+        if factor is None or not all(values.exists(key) for key in factor.keys()):  # noqa: SIM118
+            continue
+        whole.add(factor)
+        if isinstance(factor, gtsam.BetweenFactorPose3):
+            motions.add(_plain(factor, lengths))
+    for (first, second), (metres, sigma) in lengths.items():
+        if values.exists(pose_key(first)):
+            whole.add(length_factor(first, second, metres, sigma))
+    gtsam.writeG2o(motions, poses, str(folder / G2O))
+    kinds = {type(whole.at(slot)) for slot in range(whole.size())}
+    if gtsam.EssentialMatrixConstraint not in kinds:
+        (folder / FACTORS).write_text(whole.serialize())
+    (folder / VALUES).write_text(values.serialize())
+    (folder / LANDMARKS_PLY).write_text(_ply(np.array(points).reshape(-1, 3)))
+
+
+def _plain(factor: gtsam.BetweenFactorPose3, lengths: Lengths) -> gtsam.BetweenFactorPose3:
+    """The same with its length and without its kernel, between poses numbered by their frames: what g2o can hold."""
+    first, second = (gtsam.Symbol(key).index() for key in factor.keys())  # noqa: SIM118
+    noise = factor.noiseModel()
+    if isinstance(noise, gtsam.noiseModel.Robust):
+        noise = noise.noise()
+    motion = factor.measured()
+    if (first, second) in lengths:
+        metres, sigma = lengths[first, second]
+        scale = metres / float(np.linalg.norm(motion.translation()))
+        own = GaussianPose(motion, noise.covariance()).with_scale_variance((sigma / metres) ** 2 - UNKNOWN_LENGTH)
+        noise = gtsam.noiseModel.Gaussian.Covariance(own.covariance)
+        motion = gtsam.Pose3(motion.rotation(), scale * motion.translation())
+    return gtsam.BetweenFactorPose3(first, second, motion, noise)
+
+
+def _ply(points: NDArray[np.float64]) -> str:
+    """Points (N, 3) as a PLY file."""
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    header = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
+    return header + "".join(f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points)

@@ -1,0 +1,194 @@
+"""The scale of odometry as variables of the graph: what its lengths err alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
+from fvslam_graph.fusion.factors import SHORT, pose_key
+
+UNKNOWN_LENGTH = 100.0  # variance of the logarithm of a length that a motion itself says nothing of
+LENGTH_SIGMA = 1e-3  # share of a length that it errs by, beyond its scale
+
+
+def scale_key(frame: int) -> int:
+    """Of the logarithm of true over measured lengths, as odometry learns it at a frame."""
+    return int(gtsam.symbol("s", frame))
+
+
+def bias_key(frame: int) -> int:
+    """Of what the scale source errs at a frame and at those around it, in the logarithm of the scale."""
+    return int(gtsam.symbol("b", frame))
+
+
+@dataclass(frozen=True)
+class _Length:
+    """How long a motion is: `metres`, if the scale learnt at frame `scale` were right."""
+
+    metres: float
+    sigma: float
+    scale: int
+
+
+class ScaleChain:
+    """Odometry's filter of the scale as a chain in the graph, which smooths it together with all else.
+
+    Lengths of consecutive motions are not independent: all have the scale that the map carries. What the map says of a
+    step links the scales of two keyframes; what the scale source says holds one of them, up to an error that
+    neighbouring steps share (first-order Gauss-Markov, as in `vo.scale_filter`).
+
+    All factors are GTSAM's own; those that it has no class for are linear ones (LinearContainerFactor).
+
+    Args:
+        add: Takes a factor,
+        insert: and the first value of a variable.
+        has: Whether a variable is in the graph, or about to enter it.
+    """
+
+    def __init__(
+        self,
+        add: Callable[[gtsam.NonlinearFactor], None],
+        insert: Callable[[int, float], None],
+        has: Callable[[int], bool],
+    ) -> None:
+        self._add, self._insert, self._has = add, insert, has
+        self._scale_of: dict[int, int] = {}  # frame where the scale was learnt that another frame's map has
+        self._lengths: dict[tuple[int, int], _Length] = {}  # of the motions between two frames
+
+    def extend(self, previous: int, index: int, step: ScaleStep | None, variance: float) -> list[int]:
+        """Tell where the scale of a motion comes from.
+
+        Args:
+            previous, index: The motion goes from one frame to the other.
+            step: What was learnt of its scale; None where it has that of the map in the first frame.
+            variance: Of the logarithm of the scale.
+
+        Returns:
+            The variables that this is about.
+        """
+        before = self._scale_of.get(previous)
+        if before is not None and not self._has(scale_key(before)):
+            before = None  # beyond the lag
+        if before is not None and step is None:
+            self._scale_of[index] = before
+            return self._variables(before)
+        self._scale_of[index] = index
+        self._insert(scale_key(index), 0.0)
+        if step is None:
+            self._hold(scale_key(index), LogScale(0.0, variance))
+            return [scale_key(index)]
+        carried = LogScale(step.carried.mean - step.length.mean, step.carried.variance)
+        if before is None:
+            self._hold(scale_key(index), carried)
+        else:
+            self._link(scale_key(before), scale_key(index), carried)
+        if step.shared > 0:
+            self._insert(bias_key(index), 0.0)
+            if before is None or not self._has(bias_key(before)):
+                self._hold(bias_key(index), LogScale(0.0, step.shared))
+            else:
+                self._decay(bias_key(before), bias_key(index), step)
+        if step.measured is not None:
+            measured = LogScale(step.measured.mean - step.length.mean, step.measured.variance)
+            if step.shared > 0:
+                self._link(bias_key(index), scale_key(index), measured)
+            else:
+                self._hold(scale_key(index), measured)
+        return self._variables(index) + ([] if before is None else self._variables(before))
+
+    def measure(self, previous: int, index: int, motion: GaussianPose, world_T_previous: gtsam.Pose3) -> GaussianPose:
+        """Tell how long a motion is, after `extend`, and what remains of it.
+
+        Args:
+            previous, index: The motion goes from one frame to the other.
+            motion: Without the variance of its scale.
+            world_T_previous: Where it begins, as known now.
+
+        Returns:
+            The motion with a length that is anyone's guess.
+        """
+        metres = float(np.linalg.norm(motion.mean.translation()))
+        if metres < SHORT:
+            return motion
+        direction = motion.mean.translation() / metres
+        travel = motion.mean.rotation().unrotate(direction)
+        variance = float(travel @ motion.covariance[3:, 3:] @ travel) + (LENGTH_SIGMA * metres) ** 2
+        length = _Length(metres, math.sqrt(variance), self._scale_of[index])
+        self._lengths[previous, index] = length
+        self._add(_length_factor(previous, index, length, direction, motion.mean, world_T_previous))
+        return motion.with_scale_variance(UNKNOWN_LENGTH)
+
+    def lengths(self, values: gtsam.Values) -> dict[tuple[int, int], tuple[float, float]]:
+        """Length and its deviation (m) of the motions between two frames, with the scale that the graph has found."""
+        found = {}
+        for frames, length in self._lengths.items():
+            scale = scale_key(length.scale)
+            if values.exists(scale):
+                found[frames] = (length.metres * (1 + values.atDouble(scale)), length.sigma)
+        return found
+
+    def forget(self) -> None:
+        """Drop what refers to variables that the graph no longer has."""
+        self._scale_of = {frame: scale for frame, scale in self._scale_of.items() if self._has(scale_key(scale))}
+        self._lengths = {
+            frames: length for frames, length in self._lengths.items() if self._has(scale_key(length.scale))
+        }
+
+    def _variables(self, frame: int) -> list[int]:
+        return [key for key in (scale_key(frame), bias_key(frame)) if self._has(key)]
+
+    def _hold(self, key: int, value: LogScale) -> None:
+        self._add(gtsam.PriorFactorDouble(key, value.mean, _sigma(value.variance)))
+
+    def _link(self, first: int, second: int, difference: LogScale) -> None:
+        self._add(gtsam.BetweenFactorDouble(first, second, difference.mean, _sigma(difference.variance)))
+
+    def _decay(self, first: int, second: int, step: ScaleStep) -> None:
+        noise = _sigma((1 - step.lasting**2) * step.shared)
+        decay = gtsam.JacobianFactor(first, np.array([[-step.lasting]]), second, np.eye(1), np.zeros(1), noise)
+        values = gtsam.Values()
+        values.insert(first, 0.0)
+        values.insert(second, 0.0)
+        self._add(gtsam.LinearContainerFactor(decay, values))
+
+
+def _length_factor(
+    previous: int,
+    index: int,
+    length: _Length,
+    direction: NDArray[np.float64],
+    prev_T_cur: gtsam.Pose3,
+    world_T_previous: gtsam.Pose3,
+) -> gtsam.NonlinearFactor:
+    """How far the camera went along `direction` (3,), in the previous camera: length (1 + scale), linear in all three.
+
+    The same displacement of both poses, however large, changes nothing, so that it holds where it was linearised and
+    elsewhere.
+    """
+    by_previous, by_index = np.zeros((1, 6)), np.zeros((1, 6))
+    by_previous[0, 3:], by_index[0, 3:] = -direction, prev_T_cur.rotation().unrotate(direction)
+    values = gtsam.Values()
+    values.insert(pose_key(previous), world_T_previous)
+    values.insert(pose_key(index), world_T_previous.compose(prev_T_cur))
+    values.insert(scale_key(length.scale), 0.0)
+    jacobian = gtsam.JacobianFactor(
+        pose_key(previous),
+        by_previous,
+        pose_key(index),
+        by_index,
+        scale_key(length.scale),
+        np.array([[-length.metres]]),
+        np.zeros(1),
+        _sigma(length.sigma**2),
+    )
+    return gtsam.LinearContainerFactor(jacobian, values)
+
+
+def _sigma(variance: float) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Isotropic.Sigma(1, math.sqrt(variance))

@@ -1,0 +1,154 @@
+"""The scale in the graph: as odometry's filter has it, and smoothed."""
+
+import math
+
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.config import GraphSettings, ScaleSettings
+from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
+from fvslam_graph.fusion.factors import length_factor, pose_key
+from fvslam_graph.fusion.graph import Graph
+from fvslam_graph.fusion.graph_files import FACTORS, G2O, VALUES
+from fvslam_graph.fusion.scale_chain import LENGTH_SIGMA, UNKNOWN_LENGTH, ScaleChain, scale_key
+from fvslam_graph.vo.scale_filter import ScaleFilter
+
+CAMERA = Camera(width=640, height=480, fx=400, fy=400, cx=320, cy=240)
+SETTINGS = ScaleSettings()
+STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.01, -0.02, 0.05), np.array([0.1, -0.2, 1.5]))
+METRES = float(np.linalg.norm(STEP.translation()))
+OWN = np.diag(np.repeat([1e-4, 1e-3], 3) ** 2)  # of a motion, without its scale
+DRIFT = 0.006  # of log scale per step
+
+
+def steps(count: int, seed: int = 0) -> list[ScaleStep]:
+    """What odometry learns of motions that are all `METRES` long, on a ground that is not quite a plane."""
+    rng, scales = np.random.default_rng(seed), ScaleFilter(SETTINGS)
+    known, shared, made = LogScale(math.log(METRES), 1.0), 0.0, []
+    for number in range(count):
+        carried = LogScale(known.mean + DRIFT * rng.standard_normal() * (number > 0), DRIFT**2 if number else 1.0)
+        predicted = LogScale(carried.mean, carried.variance + (known.variance if number else 0.0))
+        shared = scales.decay * shared + SETTINGS.shared_sigma * math.sqrt(1 - scales.decay**2) * rng.standard_normal()
+        said = math.log(METRES) + shared + SETTINGS.plane_sigma * rng.standard_normal()
+        plane = None if number % 7 == 3 else LogScale(said, SETTINGS.plane_sigma**2)
+        known = scales.update(predicted, plane)
+        made.append(ScaleStep(known, carried, plane, scales.variance, scales.decay))
+    return made
+
+
+def fed(made: list[ScaleStep], **settings) -> Graph:
+    graph = Graph(CAMERA, GraphSettings(landmarks="none", **settings))
+    graph.add_odometry(0.0, 0, GaussianPose.identity())
+    for number, step in enumerate(made):
+        motion = gtsam.Pose3(STEP.rotation(), step.length.metres / METRES * STEP.translation())
+        scaled = GaussianPose(motion, OWN).with_scale_variance(step.length.variance)
+        graph.add_odometry(0.1 * (number + 1), number, scaled, step, step.length.variance)
+        if number % 5 == 4:
+            graph.fuse(None)
+    return graph
+
+
+def lengths(graph: Graph) -> np.ndarray:
+    return np.linalg.norm(np.diff(graph.smoothed().positions, axis=0), axis=1)
+
+
+def test_the_newest_scale_is_that_of_the_filter():
+    made = steps(30)
+    graph = fed(made)
+    newest = scale_key(30)
+    assert graph.solver.values().atDouble(newest) == pytest.approx(0, abs=1e-5)
+    assert graph.solver.covariance(newest)[0, 0] == pytest.approx(made[-1].length.variance, rel=1e-4)
+
+
+def test_earlier_lengths_are_smoothed():
+    """What comes later holds for them, too: over seeds their errors become smaller."""
+    online, smoothed = [], []
+    for seed in range(20):
+        made = steps(50, seed)
+        online.append([step.length.mean - math.log(METRES) for step in made])
+        smoothed.append(np.log(lengths(fed(made)) / METRES))
+    online, smoothed = (np.sqrt(np.mean(np.square(errors))) for errors in (online, smoothed))
+    assert 0.005 < smoothed < 0.92 * online  # measured 0.020 and 0.024
+
+
+def test_as_independent_ones_lengths_stay_as_they_are():
+    made = steps(20)
+    graph = fed(made, lengths="independent")
+    assert lengths(graph) == pytest.approx([step.length.metres for step in made], rel=1e-6)
+
+
+def test_a_scale_in_common_does_not_average_out():
+    """Nor do more frames make it better known."""
+    made = [ScaleStep(LogScale(math.log(METRES), 0.05**2), LogScale(math.log(METRES), 0.05**2 if n == 0 else 1e-8))
+            for n in range(20)]  # fmt: skip
+    spread = {}
+    for kind in ("chained", "independent"):
+        graph = fed(made, lengths=kind)
+        pose = graph.pose
+        far = pose.mean.rotation().unrotate(pose.mean.translation())
+        spread[kind] = math.sqrt(far @ pose.covariance[3:, 3:] @ far) / (far @ far)
+    assert spread["chained"] == pytest.approx(0.05, rel=0.02)
+    assert spread["independent"] < 0.02
+
+
+def test_a_frame_that_is_located_has_the_scale_of_its_map():
+    made = steps(10)
+    graph = fed(made)
+    small = GaussianPose(gtsam.Pose3(gtsam.Rot3(), np.array([0, 0, 0.3])), OWN)
+    variance = made[-1].length.variance
+    for number in range(3):
+        graph.add_odometry(1.1 + 0.1 * number, 10, small.with_scale_variance(variance), None, variance)
+    graph.fuse(None)
+    assert not graph.solver.values().exists(scale_key(11))
+    assert graph.solver.values().exists(scale_key(10))
+
+
+def test_the_length_against_the_built_in_range():
+    """With the scale as a constant, it is GTSAM's range between two poses, wherever these are."""
+    factors, values = [], gtsam.Values()
+    chain = ScaleChain(factors.append, values.insert, values.exists)
+    variance = 0.03**2
+    chain.extend(0, 1, ScaleStep(LogScale(0.0, variance), LogScale(0.0, variance)), variance)
+    away = gtsam.Pose3.Expmap(np.array([0.3, -0.5, 0.8, 3.0, -2.0, 5.0]))
+    rest = chain.measure(0, 1, GaussianPose(STEP, 1e-12 * np.eye(6)), away)
+    length = factors[-1]
+    scaled = gtsam.Pose3(STEP.rotation(), 1.01 * STEP.translation())
+    built_in = length_factor(0, 1, METRES, LENGTH_SIGMA * METRES)
+    corrected = gtsam.Pose3.Expmap(np.array([0.1, -0.2, 0.1, 20.0, -10.0, 5.0])) * away
+    for place in (away, corrected):
+        for motion, scale in ((STEP, 0.0), (scaled, 0.01), (scaled, 0.0)):
+            at = gtsam.Values()
+            at.insert(pose_key(0), place)
+            at.insert(pose_key(1), place * motion)
+            at.insert(scale_key(1), scale)
+            error = (np.linalg.norm(motion.translation()) - METRES * (1 + scale)) / (LENGTH_SIGMA * METRES)
+            assert length.error(at) == pytest.approx(0.5 * error**2, rel=0.02, abs=0.01)
+            if scale == 0:
+                assert length.error(at) == pytest.approx(built_in.error(at), rel=0.02, abs=1e-9)
+    assert rest.mean.equals(STEP, 0)
+    travel = np.concatenate([np.zeros(3), STEP.rotation().unrotate(STEP.translation())])
+    assert rest.covariance == pytest.approx(UNKNOWN_LENGTH * np.outer(travel, travel) + 1e-12 * np.eye(6))
+
+
+def test_a_lag_leaves_scales_behind():
+    whole, lagged = fed(steps(60)), fed(steps(60), lag=2.0)
+    kept = [key for key in lagged.solver.values().keys() if gtsam.Symbol(key).chr() == ord("s")]  # noqa: SIM118
+    assert len(kept) <= 22
+    assert lengths(lagged)[-5:] == pytest.approx(lengths(whole)[-5:], rel=1e-3)
+
+
+def test_the_files_have_the_lengths_that_were_found(tmp_path):
+    graph = fed(steps(30))
+    graph.smoothed()
+    graph.write(tmp_path)
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.deserialize((tmp_path / FACTORS).read_text())
+    values.deserialize((tmp_path / VALUES).read_text())
+    assert factors.error(values) == pytest.approx(0, abs=1e-3)
+    motions, poses = gtsam.readG2o(str(tmp_path / G2O), True)
+    assert motions.size() == 30
+    assert motions.error(poses) == pytest.approx(0, abs=1e-2)
+    found = np.linalg.norm([motions.at(n).measured().translation() for n in range(30)], axis=1)
+    assert found == pytest.approx(lengths(graph), rel=1e-4)
