@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import gtsam
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
@@ -62,25 +63,32 @@ def robust(model: gtsam.noiseModel.Base, settings: GraphSettings, share: float =
 
 
 def motion_factor(
-    previous: int, index: int, prev_T_cur: GaussianPose, settings: GraphSettings
+    previous: int, index: int, prev_T_cur: GaussianPose, settings: GraphSettings, length: bool = True
 ) -> gtsam.NonlinearFactor:
     """A motion of odometry between two frames.
 
-    As `between`, it has six degrees of freedom. As `essential`, it has the five that two views measure, and says
-    nothing of the length.
+    As `between`, it has six degrees of freedom, or five where the length is told by another factor. As `essential`, it
+    has the five that two views measure.
 
     Args:
         previous, index: The frames.
         prev_T_cur: The motion.
         settings: Kind of factor, kernel, deflation.
+        length: Whether it tells how long the motion is; an `essential` one never does.
     """
     keys = pose_key(previous), pose_key(index)
     factor = settings.deflation if settings.counting == "deflated" else 1.0
     covariance = factor * prev_T_cur.covariance + LEAST_VARIANCE * np.eye(6)
     distance = float(np.linalg.norm(prev_T_cur.mean.translation()))
     if settings.odometry == "between" or distance < SHORT:
-        noise = robust(gtsam.noiseModel.Gaussian.Covariance(covariance), settings)
-        return gtsam.BetweenFactorPose3(*keys, prev_T_cur.mean, noise)
+        told = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        if not length:
+            travel = gtsam.Unit3(prev_T_cur.mean.rotation().unrotate(prev_T_cur.mean.translation()))
+            across = scipy.linalg.block_diag(np.eye(3), travel.basis())
+            root = np.zeros((6, 6))
+            root[:5] = np.linalg.inv(np.linalg.cholesky(across.T @ covariance @ across)) @ across.T
+            told = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
+        return gtsam.BetweenFactorPose3(*keys, prev_T_cur.mean, robust(told, settings))
     direction = gtsam.Unit3(prev_T_cur.mean.translation())
     by_pose = np.zeros((5, 6))
     by_pose[:3, :3] = np.eye(3)
@@ -136,6 +144,7 @@ class LandmarkFactors:
     def smart(self, views: list[tuple[int, Array]], sigma: float, count: int) -> gtsam.NonlinearFactor:
         """All views (frame, pixel) of a landmark, which is eliminated in the factor itself; see `deviation`."""
         parameters = gtsam.SmartProjectionParams()
+        parameters.setLinearizationMode(gtsam.LinearizationMode.JACOBIAN_SVD)  # which can be factorised by QR, too
         noise = gtsam.noiseModel.Isotropic.Sigma(2, self.deviation(sigma, count))
         factor = gtsam.SmartProjectionPoseFactorCal3_S2(noise, self.calibration, parameters)
         for frame, pixel in views:

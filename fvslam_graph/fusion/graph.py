@@ -167,9 +167,11 @@ class Graph:
         if self.settings.lengths == "chained" and scale_variance > 0:
             for key in self._scales.extend(previous, index, scale, scale_variance):
                 self._seen[key] = self._stamps[index]
-            own = motion.with_scale_variance(-scale_variance)
-            motion = self._scales.measure(previous, index, own, self._poses[previous])
-        elif self.settings.odometry == "essential" and length > SHORT:
+            motion = motion.with_scale_variance(-scale_variance)
+            told = self._scales.measure(previous, index, motion, self._poses[previous])
+            self.add(motion_factor(previous, index, motion, self.settings, length=not told))
+            return
+        if self.settings.odometry == "essential" and length > SHORT:
             travel = motion.mean.rotation().unrotate(motion.mean.translation() / length)
             sigma = math.sqrt(float(travel @ motion.covariance[3:, 3:] @ travel))
             self.add(length_factor(previous, index, length, sigma))

@@ -9,9 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.factors import is_landmark, is_pose, length_factor, pose_key
-from fvslam_graph.fusion.scale_chain import UNKNOWN_LENGTH
 
 G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
 
@@ -67,10 +65,10 @@ def _plain(factor: gtsam.BetweenFactorPose3, lengths: Lengths) -> gtsam.BetweenF
     motion = factor.measured()
     if (first, second) in lengths:
         metres, sigma = lengths[first, second]
-        scale = metres / float(np.linalg.norm(motion.translation()))
-        own = GaussianPose(motion, noise.covariance()).with_scale_variance((sigma / metres) ** 2 - UNKNOWN_LENGTH)
-        noise = gtsam.noiseModel.Gaussian.Covariance(own.covariance)
-        motion = gtsam.Pose3(motion.rotation(), scale * motion.translation())
+        direction = motion.translation() / np.linalg.norm(motion.translation())
+        travel = np.concatenate([np.zeros(3), motion.rotation().unrotate(direction)])
+        noise = gtsam.noiseModel.Gaussian.Information(noise.information() + np.outer(travel, travel) / sigma**2)
+        motion = gtsam.Pose3(motion.rotation(), metres * direction)
     return gtsam.BetweenFactorPose3(first, second, motion, noise)
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
 from fvslam_graph.fusion.factors import SHORT, pose_key
 
-UNKNOWN_LENGTH = 100.0  # variance of the logarithm of a length that a motion itself says nothing of
 LENGTH_SIGMA = 1e-3  # share of a length that it errs by, beyond its scale
 
 
@@ -102,8 +101,8 @@ class ScaleChain:
                 self._hold(scale_key(index), measured)
         return self._variables(index) + ([] if before is None else self._variables(before))
 
-    def measure(self, previous: int, index: int, motion: GaussianPose, world_T_previous: gtsam.Pose3) -> GaussianPose:
-        """Tell how long a motion is, after `extend`, and what remains of it.
+    def measure(self, previous: int, index: int, motion: GaussianPose, world_T_previous: gtsam.Pose3) -> bool:
+        """Tell how long a motion is, after `extend`.
 
         Args:
             previous, index: The motion goes from one frame to the other.
@@ -111,18 +110,18 @@ class ScaleChain:
             world_T_previous: Where it begins, as known now.
 
         Returns:
-            The motion with a length that is anyone's guess.
+            Whether it is long enough to have a length.
         """
         metres = float(np.linalg.norm(motion.mean.translation()))
         if metres < SHORT:
-            return motion
+            return False
         direction = motion.mean.translation() / metres
         travel = motion.mean.rotation().unrotate(direction)
         variance = float(travel @ motion.covariance[3:, 3:] @ travel) + (LENGTH_SIGMA * metres) ** 2
         length = _Length(metres, math.sqrt(variance), self._scale_of[index])
         self._lengths[previous, index] = length
         self._add(_length_factor(previous, index, length, direction, motion.mean, world_T_previous))
-        return motion.with_scale_variance(UNKNOWN_LENGTH)
+        return True
 
     def lengths(self, values: gtsam.Values) -> dict[tuple[int, int], tuple[float, float]]:
         """Length and its deviation (m) of the motions between two frames, with the scale that the graph has found."""

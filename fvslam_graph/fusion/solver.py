@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -87,14 +88,22 @@ class Solver:
 
     def covariance(self, key: int) -> NDArray[np.float64]:
         """Marginal covariance of a variable."""
-        covariance: NDArray[np.float64] = self._isam.marginalCovariance(key)
+        covariance: NDArray[np.float64] = self._marginal(lambda: self._isam.marginalCovariance(key))
         return covariance
 
     def joint_covariance(self, first: int, second: int) -> NDArray[np.float64]:
         """Marginal covariance (12, 12) of two poses."""
         keys = first, second
-        joint = self._isam.jointMarginalCovariance(list(keys))
+        joint = self._marginal(lambda: self._isam.jointMarginalCovariance(list(keys)))
         return np.block([[joint.at(a, b) for b in keys] for a in keys])
+
+    def _marginal(self, compute: Callable[[], Any]) -> Any:
+        """What may need a sounder factorisation than the estimate itself."""
+        try:
+            return compute()
+        except RuntimeError as error:
+            self._repair(error, by_priors=False)
+            return compute()
 
     @property
     def _isam(self) -> gtsam.ISAM2:
@@ -123,7 +132,7 @@ class Solver:
             self._solver.update(factors, values, stamps)
         self._solver.calculateEstimatePose3(next(key for key in stamps if is_pose(key)))  # throws, too, if at all
 
-    def _repair(self, error: RuntimeError) -> None:
+    def _repair(self, error: RuntimeError, by_priors: bool = True) -> None:
         """A solver that has thrown is not sound: begin a new one with all factors, until it does not throw."""
         values = gtsam.Values(self._isam.getLinearizationPoint())
         for key in set(values.keys()) - set(self._stamps):
@@ -134,13 +143,13 @@ class Solver:
         for _ in range(ATTEMPTS):
             found = _NAMED.search(str(error))
             key = int(found[1]) if found is not None and values.exists(int(found[1])) else None
-            if key is not None and key not in held:
+            if by_priors and key is not None and key not in held:
                 held.add(key)
                 name = gtsam.DefaultKeyFormatter(key)
                 _log.warning("%s is not determined by what was measured; it is held within %g", name, WEAK)
                 self.repaired.append(name)
                 self._add(_prior(key, values, WEAK))
-            elif self._factorization == "CHOLESKY" and self._settings.landmarks != "smart":
+            elif self._factorization == "CHOLESKY":
                 # Squares of numbers that differ by a thousand may be what is not sound. QR needs none, but is slower,
                 # and stays.
                 self._factorization = "QR"

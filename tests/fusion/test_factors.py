@@ -80,6 +80,18 @@ def test_essential_says_nothing_of_the_length():
     assert essential.error(poses(gtsam.Pose3(), aside)) > 1
 
 
+def test_a_motion_whose_length_is_told_elsewhere():
+    """It says nothing of it, and of all else what it says with its length."""
+    factor = motion_factor(0, 1, metric(1e-4), PLAIN, length=False)
+    longer = gtsam.Pose3(MOTION.rotation(), 3 * MOTION.translation())
+    assert factor.error(poses(gtsam.Pose3(), longer)) == pytest.approx(0, abs=1e-12)
+    at = poses(gtsam.Pose3(), MOTION)
+    length = float(np.linalg.norm(MOTION.translation()))
+    both = information([factor, length_factor(0, 1, length, 1e-2 * length)], at)
+    whole = information([motion_factor(0, 1, metric(1e-4), PLAIN)], at)
+    assert both == pytest.approx(whole, rel=1e-3, abs=1e-3 * np.abs(whole).max())
+
+
 def test_a_motion_without_direction_has_six_degrees_of_freedom():
     still = GaussianPose(gtsam.Pose3(), 1e-6 * np.eye(6))
     factor = motion_factor(0, 1, still, GraphSettings(odometry="essential"))
