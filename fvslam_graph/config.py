@@ -172,6 +172,11 @@ class Config(_Group):
         return (self.slam.motion or ("constant_velocity" if self.mode is Mode.VSLAM else "odometry")) == "odometry"
 
     @property
+    def tracks_apart(self) -> bool:
+        """Whether odometry does without tracks that are landmarks."""
+        return self.mode is Mode.GRAPH and self.graph.counting == "disjoint"
+
+    @property
     def needs_odometry(self) -> bool:
         """Whether visual odometry runs on every frame, and not only until visual SLAM has started."""
         return self.mode is not Mode.VSLAM or self.odometry_is_prior or self.interleave > 1

@@ -11,15 +11,14 @@ import numpy as np
 
 from fvslam_graph.config import Config, Mode, ScaleSource
 from fvslam_graph.errors import ConfigError
-from fvslam_graph.estimates import GaussianPose, Views
+from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.tracks import Association
 from fvslam_graph.fusion.average import Average
-from fvslam_graph.fusion.graph import Graph
+from fvslam_graph.fusion.fusion import Fusion, RuleFusion, SlamAlone
+from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.fusion.interleave import Interleave
 from fvslam_graph.fusion.intersection import Intersection
-from fvslam_graph.fusion.odometry_chain import OdometryChain
-from fvslam_graph.fusion.rule import FusionRule
 from fvslam_graph.results import FrameResult
 from fvslam_graph.sequences.base import Frame, Sequence
 from fvslam_graph.slam.estimate import Outcome, SlamEstimate
@@ -33,7 +32,7 @@ from fvslam_graph.vo.odometry import VisualOdometry
 from fvslam_graph.vo.scale import VAGUE
 
 VO_STAGES = ("association", "pose", "scale", "detection")
-SLAM_STAGES = ("filter", "search", "map")
+SLAM_STAGES = ("filter", "search", "map", "fusion")
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,7 @@ class Eyes:
 
 def stages(config: Config) -> tuple[str, ...]:
     """What a frame's time is made up of."""
-    slam = () if config.mode is Mode.VO else SLAM_STAGES
-    return ("read", *VO_STAGES, *slam, *(() if config.mode in (Mode.VO, Mode.VSLAM) else ("fusion",)))
+    return ("read", *VO_STAGES) if config.mode is Mode.VO else ("read", *VO_STAGES, *SLAM_STAGES)
 
 
 def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> Iterator[FrameResult]:
@@ -72,63 +70,51 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
     vo = VisualOdometry(sequence.camera, config, sequence.ground, baseline, eyes.association if eyes else None)
     finder = eyes.finder if eyes else PatchFinder(sequence.camera, config.features, config.slam)
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
-    chain = OdometryChain()  # the motion since P_f
-    reference = GaussianPose.identity()  # P_f
-    rule = _rule(config)
-    graph = Graph(sequence.camera, config.graph) if config.mode is Mode.GRAPH else None
-    disjoint = graph is not None and config.graph.counting == "disjoint"
-    absolute = config.graph.online == "pose"
+    fusion = _fusion(sequence, config)
     interleave = Interleave(config.interleave, config.slam.shorten)
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
         with stopwatch.stage("read"):
             frame = sequence.frame(index)
 
+        # O_f: visual odometry, on every frame.
         odometry: VoEstimate | None = None
-        slam: SlamEstimate | None = None
         if config.needs_odometry or not vslam.started:
-            odometry = vo.step(frame, vslam.tracks if disjoint else None)
+            odometry = vo.step(frame, vslam.tracks if config.tracks_apart else None)
             previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
-            chain.add(index, previous, motion)
-            if graph is not None:
-                _add_odometry(graph, frame, odometry, sequence)
+            fusion.add_odometry(frame, previous, motion, odometry.scale, odometry.map.variance)
+
+        # S_f: visual SLAM, on every k-th frame, from where odometry first knows enough to start it.
+        slam: SlamEstimate | None = None
         if config.mode is not Mode.VO and not vslam.started and odometry is not None:
-            slam = _start(vslam, frame, odometry, reference.compose(chain.motion), sequence, config)
+            slam = _start(vslam, frame, odometry, fusion.pose, sequence, config)
             if slam is not None:
-                reference = slam.pose
-                if graph is not None:
-                    graph.fuse(slam.views)
-                chain.anchor()
+                fusion.start(slam.pose, slam.views)
         elif config.mode is not Mode.VO and index - vslam.index >= interleave.distance:
-            prior = chain.motion if config.odometry_is_prior else None
+            prior = fusion.motion if config.odometry_is_prior else None
             slam = vslam.step(frame, prior, _followed(odometry, config))
-            previous, motion, status = slam.previous, slam.prev_T_cur, slam.status
-            interleave.turned_out(well=status is Status.TRACKED)
-            if config.mode is Mode.VSLAM:
-                reference = slam.pose
-            else:
-                # Both have moved on from P_f, which moves by what the fusion makes of it.
-                with stopwatch.stage("fusion"):
-                    motion = graph.fuse(_views(slam)) if graph else _fused(rule, chain.motion, slam)
-                    reference = reference.compose(motion)
-                    if graph is not None:
-                        reference = graph.pose if absolute else graph.judged(reference.mean)
-                vslam.rebase(reference)
-            chain.anchor()
+            previous, status, found = slam.previous, slam.status, slam.status is Status.TRACKED
+            interleave.turned_out(well=found)
+
+            # P_f: both fused, and the reference from which both go on.
+            with stopwatch.stage("fusion"):
+                motion = fusion.fuse(slam.pose, slam.prev_T_cur, slam.views if found else None)
+            if config.mode is not Mode.VSLAM:
+                vslam.rebase(fusion.reference)
 
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
         yield FrameResult(
             index=index,
             stamp=frame.stamp,
-            pose=reference.compose(chain.motion),
+            pose=fusion.pose,
             status=status,
             previous=previous,
             relative=motion,
             measures=_measures(config, odometry, slam),
             times=times,
             slam=slam,
-            graph=graph,
+            graph=fusion.graph,
         )
 
 
@@ -139,28 +125,15 @@ def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None
     return odometry.points
 
 
-def _add_odometry(graph: Graph, frame: Frame, odometry: VoEstimate, sequence: Sequence) -> None:
-    """A frame with what odometry says of it, for the factor graph."""
-    graph.add_odometry(frame.stamp, odometry.previous, odometry.prev_T_cur, odometry.scale, odometry.map.variance)
-    if graph.settings.heights and sequence.ground is not None and frame.height > 0:
-        graph.add_height(frame.height, frame.height_sigma, sequence.ground.normal)
-
-
-def _rule(config: Config) -> FusionRule:
-    """What makes one motion of two."""
+def _fusion(sequence: Sequence, config: Config) -> Fusion:
+    """What the mode makes of both; in mode `vo` there is nothing to fuse."""
+    if config.mode is Mode.GRAPH:
+        return GraphFusion(sequence.camera, config.graph, sequence.ground)
     if config.mode is Mode.INTERSECTION:
-        return Intersection(config.fusion.criterion)
-    return Average(config.fusion.weight, config.fusion.geodesic)
-
-
-def _fused(rule: FusionRule, odometry: GaussianPose, slam: SlamEstimate) -> GaussianPose:
-    """One motion of two; where visual SLAM is lost, odometry carries on alone."""
-    return rule(odometry, slam.prev_T_cur) if slam.status is Status.TRACKED else odometry
-
-
-def _views(slam: SlamEstimate) -> Views | None:
-    """What the factor graph is told of landmarks: nothing where visual SLAM is lost."""
-    return slam.views if slam.status is Status.TRACKED else None
+        return RuleFusion(Intersection(config.fusion.criterion))
+    if config.mode is Mode.AVERAGE:
+        return RuleFusion(Average(config.fusion.weight, config.fusion.geodesic))
+    return SlamAlone()
 
 
 def _start(

@@ -1,0 +1,90 @@
+"""P_f: what is made of odometry and visual SLAM at interleaved frames, and where odometry has gone since."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
+from fvslam_graph.fusion.graph import Graph
+from fvslam_graph.fusion.odometry_chain import OdometryChain
+from fvslam_graph.fusion.rule import FusionRule
+from fvslam_graph.sequences.base import Frame
+
+
+class Fusion(ABC):
+    """The reference P_f, from which both subsystems go on (the paper, section 3 and Fig. 1).
+
+    Attributes:
+        reference: world_T_camera at the last frame where both were fused.
+        graph: The factor graph, if there is one.
+    """
+
+    def __init__(self) -> None:
+        self.reference = GaussianPose.identity()
+        self.graph: Graph | None = None
+        self._chain = OdometryChain()
+
+    @property
+    def motion(self) -> GaussianPose:
+        """Motion since P_f, by odometry."""
+        return self._chain.motion
+
+    @property
+    def pose(self) -> GaussianPose:
+        """world_T_camera of the newest frame: P_f, carried on by odometry."""
+        return self.reference.compose(self.motion)
+
+    def add_odometry(
+        self, frame: Frame, previous: int, prev_T_cur: GaussianPose, scale: ScaleStep | None, scale_variance: float
+    ) -> None:
+        """The motion of a frame, O_f; see `Graph.add_odometry`."""
+        self._chain.add(frame.index, previous, prev_T_cur)
+
+    def start(self, pose: GaussianPose, views: Views) -> None:
+        """Visual SLAM begins at the newest frame, at this pose world_T_camera."""
+        self.reference = pose
+        self._chain.anchor()
+
+    def fuse(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+        """Make P_f of O_f and S_f, at the newest frame.
+
+        Args:
+            pose: world_T_camera by visual SLAM, S_f,
+            motion: and the motion since the last P_f by it.
+            views: Landmarks in the frame; None where visual SLAM is lost.
+
+        Returns:
+            The motion since the last P_f.
+        """
+        fused = self._fused(pose, motion, views)
+        self._chain.anchor()
+        return fused
+
+    @abstractmethod
+    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+        """Move the reference, and return by how much."""
+
+
+class SlamAlone(Fusion):
+    """Visual SLAM as it is; odometry carries on from there to frames on which it does not run."""
+
+    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+        self.reference = pose
+        return motion
+
+
+class RuleFusion(Fusion):
+    """By a rule that makes one motion of two; where visual SLAM is lost, odometry carries on alone.
+
+    Args:
+        rule: The mean, or covariance intersection.
+    """
+
+    def __init__(self, rule: FusionRule) -> None:
+        super().__init__()
+        self._rule = rule
+
+    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+        fused = self.motion if views is None else self._rule(self.motion, motion)
+        self.reference = self.reference.compose(fused)
+        return fused
