@@ -144,7 +144,7 @@ class GraphSettings(_Group):
     min_parallax: PositiveFloat = 3.0  # pixels between the first and the last view of a landmark that enters
     max_new: PositiveInt = 60  # landmarks that enter at once
     lag: PositiveFloat | None = None  # seconds for which variables are kept; all, if not given
-    relinearise: PositiveFloat = 0.001  # metres; a variable that moves farther is linearised again
+    relinearise: PositiveFloat = 0.01  # metres; a variable that moves farther is linearised again
     heights: bool = False  # whether the readings of an altimeter are factors: for level ground
 
 

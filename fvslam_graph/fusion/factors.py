@@ -16,7 +16,7 @@ from fvslam_graph.estimates import GaussianPose
 
 Array = NDArray[np.float64]
 
-LEAST_VARIANCE = 1e-12  # rad^2 and m^2: no factor is exact
+LEAST_VARIANCE = 1e-10  # rad^2 and m^2: no factor is exact, and what is known of a whole path is of the order of 1
 SHORT = 1e-3  # metres; shorter motions have no direction that could be told, nor a length along it
 
 _KERNELS: dict[str, Callable[[float], gtsam.noiseModel.mEstimator.Base]] = {
