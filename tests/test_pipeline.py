@@ -1,5 +1,6 @@
 """The loop over the frames, on a short drive."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -10,9 +11,10 @@ import pytest
 from fvslam_graph.config import ScaleSource, load_config
 from fvslam_graph.errors import ConfigError
 from fvslam_graph.evaluation.nees import nees
+from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.monte_carlo import pose_errors, run
 from fvslam_graph.pipeline import applicable, estimate, facts, stages
-from fvslam_graph.run_folder import GRAPH, RunWriter, read_run
+from fvslam_graph.run_folder import GRAPH, METRICS, RunWriter, read_run
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.points import simulate_drive, simulate_flight
 from fvslam_graph.trajectory import Status
@@ -294,3 +296,7 @@ def test_the_folder_of_a_graph_run(flown, tmp_path):
     for name in GRAPH:
         assert (tmp_path / name).stat().st_size > 100
     assert "fusion_ms" in run.frames
+    evaluation = evaluate_run(tmp_path)
+    own = np.linalg.norm(run.smoothed.positions - flown.ground_truth.positions, axis=1)
+    assert 0 < evaluation.smoothed < np.sqrt(np.mean(own**2))  # before alignment
+    assert json.loads((tmp_path / METRICS).read_text())["ape_smoothed"] == evaluation.smoothed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,8 @@ class Evaluation:
         drift_scaled: After multiplication by `scale`.
         consistency: NEES of relative motions; None where there are no covariances.
         notes: What is missing or was done differently, and why; one sentence each.
+        smoothed: RMSE of the positions of the smoothed trajectory after the same kind of alignment, metres; NaN where
+            there is none.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Evaluation:
     drift_scaled: Drift
     consistency: Consistency | None
     notes: tuple[str, ...]
+    smoothed: float = math.nan
 
     @property
     def coverage(self) -> float | None:
@@ -69,6 +73,7 @@ class Evaluation:
             "scale": self.scale,
             "path_length": self.association.reference.path_length,
             **{name: result.stats for name, result in self.errors.items()},
+            "ape_smoothed": self.smoothed,
             "drift": asdict(self.drift),
             "drift_scaled": asdict(self.drift_scaled),
             "nees": self.consistency and asdict(self.consistency),

@@ -44,6 +44,8 @@ def evaluate_files(estimate: Path, reference: Path, align: Alignment = Alignment
 def evaluation_of(run: Run, truth: Trajectory | None = None, align: Alignment = Alignment.SE3) -> Evaluation:
     """Evaluate the online trajectory of a run without writing anything; NEES is over the tracked frames.
 
+    Of a smoothed trajectory, the positions alone.
+
     Args:
         run: Read from its folder or in memory.
         truth: In place of the ground truth that came with the recording.
@@ -62,4 +64,9 @@ def evaluation_of(run: Run, truth: Trajectory | None = None, align: Alignment = 
     if relatives is not None:
         tracked = (run.frames["status"] == Status.TRACKED)[:, None, None]
         relatives = replace(relatives, covariances=np.where(tracked, relatives.covariances, np.nan))
-    return evaluate(run.online, truth, align, run.name, run.info.get("frames"), relatives)
+    evaluation = evaluate(run.online, truth, align, run.name, run.info.get("frames"), relatives)
+    if run.smoothed is None:
+        return evaluation
+    errors = evaluate(run.smoothed, truth, align).errors
+    smoothed = float(errors["ape_trans"].stats["rmse"]) if "ape_trans" in errors else np.nan
+    return replace(evaluation, smoothed=smoothed)

@@ -17,7 +17,7 @@ import fvslam_graph
 from fvslam_graph.config import Config
 from fvslam_graph.errors import FvslamError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.metrics import Evaluation, evaluate
+from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.files import replacing, write_json
 from fvslam_graph.pipeline import applicable, estimate, facts
@@ -181,8 +181,7 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
     }
     if evaluation is None:
         return row | dict.fromkeys(METRICS, np.nan)
-    smoothed = run.smoothed and evaluate(run.smoothed, evaluation.association.reference, evaluation.alignment)
-    return row | numbers(evaluation) | {"ape_smoothed": _rmse(smoothed, "ape_trans") if smoothed else np.nan}
+    return row | numbers(evaluation)
 
 
 def numbers(evaluation: Evaluation) -> dict[str, float]:
@@ -200,6 +199,7 @@ def numbers(evaluation: Evaluation) -> dict[str, float]:
         "nees": np.nan if nees is None else nees.mean,
         "path": evaluation.association.reference.path_length,
         "associated": len(evaluation.association.indices),
+        "ape_smoothed": evaluation.smoothed,
     }
 
 

@@ -24,6 +24,7 @@ _COUNTS = ("seed", "frames")
 
 _SUMMARY = {  # column of the table: its name, digits, factor
     "ape": ("APE (m)", ".3f", 1.0),
+    "ape_smoothed": ("smoothed (m)", ".3f", 1.0),
     "rpe": ("RPE (m)", ".4f", 1.0),
     "t_rel": ("t_rel (%)", ".2f", 1.0),
     "r_rel": ("r_rel (deg/100 m)", ".3f", 1.0),
@@ -69,8 +70,8 @@ class Outcome:
         return (
             f"{' / '.join(self.table['sequence'].unique())}. Online trajectories, {self.align} alignment, scale from "
             f"{sources or 'nothing'}. Median, and range over the seeds in brackets. APE and RPE (frame to frame): RMSE "
-            "of translation. t_rel and r_rel: KITTI's, 100-800 m, without scale correction. matched: poses with ground "
-            "truth. ms/frame: mean without reading images."
+            "of translation; smoothed: APE of the smoothed trajectory. t_rel and r_rel: KITTI's, 100-800 m, without "
+            "scale correction. matched: poses with ground truth. ms/frame: mean without reading images."
         )
 
     def summary(self) -> Table:
