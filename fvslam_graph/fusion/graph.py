@@ -16,7 +16,6 @@ from fvslam_graph.fusion.factors import (
     SHORT,
     LandmarkFactors,
     height_factor,
-    is_landmark,
     is_pose,
     landmark_key,
     length_factor,
@@ -147,12 +146,6 @@ class Graph:
             if is_pose(key):
                 self._poses[gtsam.Symbol(key).index()] = estimate.atPose3(key)
         return Trajectory(np.array(self._stamps), tuple(self._poses))
-
-    def landmarks(self) -> Array:
-        """(N, 3) all landmarks that are kept, in the world, metres."""
-        estimate = self.solver.values()
-        points = [estimate.atPoint3(key) for key in estimate.keys() if is_landmark(key)]  # noqa: SIM118
-        return np.array(points).reshape(-1, 3)
 
     def write(self, folder: Path) -> None:
         """Write the graph into a folder, see `write_graph`."""
