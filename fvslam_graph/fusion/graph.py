@@ -128,14 +128,12 @@ class Graph:
         """Where the graph has the camera at the last fused frame."""
         return GaussianPose(self._poses[self._fused], self.solver.covariance(pose_key(self._fused)))
 
-    def judged(self, world_T_camera: gtsam.Pose3) -> GaussianPose:
-        """A pose of the last fused frame that is not the graph's own, with its mean squared error as the graph sees it.
-
-        To what the graph is unsure of comes how far off it has the camera.
-        """
-        own = self.pose
-        away = gtsam.Pose3.Logmap(world_T_camera.between(own.mean))
-        return GaussianPose(world_T_camera, own.covariance + np.outer(away, away))
+    def positions(self, frames: list[int]) -> Array:
+        """Where the camera was in N frames as known now, (N, 3) in the world, metres."""
+        for frame in frames:
+            if self.solver.has(pose_key(frame)):
+                self._poses[frame] = self.solver.pose(pose_key(frame))
+        return np.array([self._poses[frame].translation() for frame in frames]).reshape(-1, 3)
 
     def smoothed(self) -> Trajectory:
         """All poses, by all measurements; those that a fixed lag has left behind, as they were when they left."""

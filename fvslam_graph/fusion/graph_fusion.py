@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
 from fvslam_graph.fusion.fusion import Fusion
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.sequences.base import Frame, Ground
+
+Array = NDArray[np.float64]
+
+SAMPLES = 40  # positions, spread over the path, that tell in which scale it was published
 
 
 class GraphFusion(Fusion):
@@ -24,12 +32,15 @@ class GraphFusion(Fusion):
         self.graph: Graph = Graph(camera, settings)
         self._settings = settings
         self._down = ground.normal if ground is not None and settings.heights else None
+        self._newest = 0  # frame
+        self._published: dict[int, Array] = {}  # where P_f was, at each interleaved frame
 
     def add_odometry(
         self, frame: Frame, previous: int, prev_T_cur: GaussianPose, scale: ScaleStep | None, scale_variance: float
     ) -> None:
         """The motion of a frame, and the height above level ground, if this is asked for."""
         super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance)
+        self._newest = frame.index
         self.graph.add_odometry(frame.stamp, previous, prev_T_cur, scale, scale_variance)
         if self._down is not None and frame.height > 0:
             self.graph.add_height(frame.height, frame.height_sigma, self._down)
@@ -38,9 +49,28 @@ class GraphFusion(Fusion):
         """Landmarks begin at the newest frame."""
         super().start(pose, views)
         self.graph.fuse(views)
+        self._published[self._newest] = pose.mean.translation()
 
     def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+        before = next(reversed(self._published))
         fused = self.graph.fuse(views)
-        moved = self.reference.mean.compose(fused.mean)
-        self.reference = self.graph.pose if self._settings.online == "pose" else self.graph.judged(moved)
+        self.reference = self.graph.pose
+        if self._settings.online == "steady":
+            self.reference = _moved(self.reference, (self._published_scale() - 1) * self.graph.positions([before])[0])
+        self._published[self._newest] = self.reference.mean.translation()
         return fused
+
+    def _published_scale(self) -> float:
+        """The scale in which the path was published, against that in which the graph has it now, by least squares."""
+        frames = list(self._published)[:: -(-len(self._published) // SAMPLES)]
+        own, published = self.graph.positions(frames), np.array([self._published[frame] for frame in frames])
+        square, product = float((own**2).sum()), float((published * own).sum())
+        return product / square if square > 0 and product > 0 else 1.0
+
+
+def _moved(pose: GaussianPose, away: Array) -> GaussianPose:
+    """A pose (3,) metres away from where it is believed to be, with its mean squared error by this belief."""
+    rotation = pose.mean.rotation()
+    error = np.concatenate([np.zeros(3), rotation.unrotate(away)])
+    moved = gtsam.Pose3(rotation, pose.mean.translation() + away)
+    return GaussianPose(moved, pose.covariance + np.outer(error, error))

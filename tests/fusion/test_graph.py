@@ -158,15 +158,6 @@ def test_the_same_bits(fed):
     assert np.array_equal(a.graph.smoothed().matrices, b.graph.smoothed().matrices)
 
 
-def test_a_pose_that_is_not_the_graphs_own(fed):
-    """To what the graph is unsure of comes how far away it is."""
-    graph = fed(seed=1).graph
-    assert graph.judged(graph.pose.mean).covariance == pytest.approx(graph.pose.covariance)
-    away = np.array([0.01, 0.0, 0.0, 0.0, 0.3, 0.0])
-    judged = graph.judged(graph.pose.mean.retract(away))
-    assert judged.covariance == pytest.approx(graph.pose.covariance + np.outer(away, away), abs=1e-9)
-
-
 def test_satellites_bound_the_drift(fed):
     """A position every ten frames, as an optional factor."""
     made = fed(seed=1, landmarks="none")

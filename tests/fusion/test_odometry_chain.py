@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 
 
@@ -43,10 +44,30 @@ def test_an_anchor_between_reference_and_frame():
     assert chain.motion.mean.equals(gtsam.Pose3(), 0) and not chain.motion.covariance.any()
     chain.add(2, 0, step(2))
     assert chain.motion.mean.equals(step(1).mean.between(step(2).mean), 1e-12)
-    # Both errors count: how much of them is shared is not known.
-    assert chain.motion.covariance == pytest.approx(step(1).inverse().compose(step(2)).covariance)
+    assert chain.motion.covariance == pytest.approx(step(2).covariance)
     chain.add(3, 2, step(3))
     assert chain.motion.mean.equals(step(1).mean.between(step(2).mean).compose(step(3).mean), 1e-12)
+
+
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_two_motions_against_one_frame(goes_on):
+    """By a tracker that looks for the points of the first frame, or that goes on from where it found them."""
+    rng, errors, covariances = np.random.default_rng(0), [], []
+    for _ in range(400):
+        noise = 0.01 * rng.standard_normal((3, 6))
+        first = noise[0] + noise[1]
+        both = (first, first + noise[2]) if goes_on else (first, noise[0] + noise[2])
+        chain = OdometryChain()
+        chain.add(0, 0, GaussianPose.identity())
+        variances = 2e-4, 3e-4 if goes_on else 2e-4
+        for index, (error, variance) in enumerate(zip(both, variances, strict=True), 1):
+            chain.add(index, 0, GaussianPose(gtsam.Pose3.Expmap(error), variance * np.eye(6)))
+            if index == 1:
+                chain.anchor()
+        errors.append(gtsam.Pose3.Logmap(chain.motion.mean))
+        covariances.append(chain.motion.covariance)
+    mean = nees(np.array(errors), np.array(covariances))[0].mean()
+    assert (1.8 < mean < 2.2) if goes_on else (5.6 < mean < 6.4)  # a third of the variance; all of it
 
 
 def test_an_anchor_that_is_the_reference():
