@@ -20,6 +20,8 @@ _log = logging.getLogger(__name__)
 WEAK = 10.0  # rad, m, of a logarithm: a prior that determines a variable and pulls at nothing
 HELD = 1e-3  # rad and m: the oldest pose within a lag, where what was before is lost
 TURNED = 1e-3  # rad; a pose that turns by more is linearised again
+NEVER = 10**9  # updates
+GROWTH = 0.1  # by what share the number of updates grows until what has moved is linearised again
 ATTEMPTS = 20  # repairs of one update
 _NAMED = re.compile(r"variable\s+(\d+)")
 
@@ -38,7 +40,8 @@ class Solver:
         self.repaired: list[str] = []  # variables that were not determined, in the order of their repair
         self._factors: list[tuple[float, gtsam.NonlinearFactorGraph]] = []  # by update, with its time; within the lag
         self._stamps: dict[int, float] = {}  # when each variable was seen last
-        self._factorization = "CHOLESKY"
+        self._updates = 0
+        self._relinearised = 0  # number of the update that linearised again what had moved
         self._solver = self._empty()
 
     def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
@@ -117,8 +120,9 @@ class Solver:
         for linear in ("s", "b"):  # what depends on scales is linear
             thresholds.insert((linear, np.ones(1)))
         parameters.setRelinearizeThreshold(thresholds)
-        parameters.relinearizeSkip = 1
-        parameters.setFactorization(self._factorization)
+        parameters.relinearizeSkip = 1 if self._settings.lag is not None else NEVER
+        # Cholesky takes for undetermined what is known 4096 times less well than the variable before it.
+        parameters.setFactorization("QR")
         parameters.findUnusedFactorSlots = True
         parameters.enablePartialRelinearizationCheck = True  # what does not move need not be looked at
         if self._settings.lag is None:
@@ -127,7 +131,12 @@ class Solver:
 
     def _advance(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
         if self._settings.lag is None:
-            self._solver.update(factors, values)
+            self._updates += 1
+            when = gtsam.ISAM2UpdateParams()
+            when.force_relinearize = self._updates - self._relinearised >= GROWTH * self._updates
+            if when.force_relinearize:
+                self._relinearised = self._updates
+            self._solver.update(factors, values, when)
         else:
             self._solver.update(factors, values, stamps)
         self._solver.calculateEstimatePose3(next(key for key in stamps if is_pose(key)))  # throws, too, if at all
@@ -149,10 +158,6 @@ class Solver:
                 _log.warning("%s is not determined by what was measured; it is held within %g", name, WEAK)
                 self.repaired.append(name)
                 self._add(_prior(key, values, WEAK))
-            elif self._factorization == "CHOLESKY":
-                # GTSAM's Cholesky takes for undetermined what is known 4096 times less well than the rest. Not so QR,
-                # which is slower, and stays.
-                self._factorization = "QR"
             elif not self._drop_newest_landmarks(values):
                 break
             self._solver = self._empty()
