@@ -13,19 +13,16 @@ from numpy.typing import NDArray
 from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
 from fvslam_graph.fusion.factors import SHORT, pose_key
 
-# Variables hold logarithms in this unit: GTSAM's Cholesky takes for undetermined what is known 4096 times less well
-# than the variable before it, and poses are known to 1e-4 m, a first scale to 1.
-UNIT = 100.0
 LENGTH_SIGMA = 1e-3  # share of a length that it errs by, beyond its scale
 
 
 def scale_key(frame: int) -> int:
-    """Of the logarithm of true over measured lengths, as odometry learns it at a frame, in `UNIT`."""
+    """Of the logarithm of true over measured lengths, as odometry learns it at a frame."""
     return int(gtsam.symbol("s", frame))
 
 
 def bias_key(frame: int) -> int:
-    """Of what the scale source errs at a frame and at those around it, in the logarithm of the scale, in `UNIT`."""
+    """Of what the scale source errs at a frame and at those around it, in the logarithm of the scale."""
     return int(gtsam.symbol("b", frame))
 
 
@@ -132,7 +129,7 @@ class ScaleChain:
         for frames, length in self._lengths.items():
             scale = scale_key(length.scale)
             if values.exists(scale):
-                found[frames] = (length.metres * (1 + UNIT * values.atDouble(scale)), length.sigma)
+                found[frames] = (length.metres * (1 + values.atDouble(scale)), length.sigma)
         return found
 
     def forget(self) -> None:
@@ -146,14 +143,13 @@ class ScaleChain:
         return [key for key in (scale_key(frame), bias_key(frame)) if self._has(key)]
 
     def _hold(self, key: int, value: LogScale) -> None:
-        self._add(gtsam.PriorFactorDouble(key, value.mean / UNIT, _sigma(value.variance / UNIT**2)))
+        self._add(gtsam.PriorFactorDouble(key, value.mean, _sigma(value.variance)))
 
     def _link(self, first: int, second: int, difference: LogScale) -> None:
-        noise = _sigma(difference.variance / UNIT**2)
-        self._add(gtsam.BetweenFactorDouble(first, second, difference.mean / UNIT, noise))
+        self._add(gtsam.BetweenFactorDouble(first, second, difference.mean, _sigma(difference.variance)))
 
     def _decay(self, first: int, second: int, step: ScaleStep) -> None:
-        noise = _sigma((1 - step.lasting**2) * step.shared / UNIT**2)
+        noise = _sigma((1 - step.lasting**2) * step.shared)
         decay = gtsam.JacobianFactor(first, np.array([[-step.lasting]]), second, np.eye(1), np.zeros(1), noise)
         values = gtsam.Values()
         values.insert(first, 0.0)
@@ -186,7 +182,7 @@ def _length_factor(
         pose_key(index),
         by_index,
         scale_key(length.scale),
-        np.array([[-length.metres * UNIT]]),
+        np.array([[-length.metres]]),
         np.zeros(1),
         _sigma(length.sigma**2),
     )

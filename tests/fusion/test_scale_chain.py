@@ -15,7 +15,7 @@ from fvslam_graph.fusion.factors import length_factor, pose_key
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.graph_files import FACTORS, G2O, VALUES
 from fvslam_graph.fusion.graph_fusion import GraphFusion
-from fvslam_graph.fusion.scale_chain import LENGTH_SIGMA, UNIT, ScaleChain, scale_key
+from fvslam_graph.fusion.scale_chain import LENGTH_SIGMA, ScaleChain, scale_key
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.vo.scale_filter import ScaleFilter
 
@@ -84,8 +84,8 @@ def test_the_newest_scale_is_that_of_the_filter():
     made = steps(30)
     graph = fed(made)
     newest = scale_key(30)
-    assert UNIT * graph.solver.values().atDouble(newest) == pytest.approx(0, abs=1e-5)
-    assert UNIT**2 * graph.solver.covariance(newest)[0, 0] == pytest.approx(made[-1].length.variance, rel=1e-4)
+    assert graph.solver.values().atDouble(newest) == pytest.approx(0, abs=1e-5)
+    assert graph.solver.covariance(newest)[0, 0] == pytest.approx(made[-1].length.variance, rel=1e-4)
 
 
 def test_earlier_lengths_are_smoothed():
@@ -170,7 +170,7 @@ def test_the_length_against_the_built_in_range():
             at = gtsam.Values()
             at.insert(pose_key(0), place)
             at.insert(pose_key(1), place * motion)
-            at.insert(scale_key(1), scale / UNIT)
+            at.insert(scale_key(1), scale)
             error = (np.linalg.norm(motion.translation()) - METRES * (1 + scale)) / (LENGTH_SIGMA * METRES)
             assert length.error(at) == pytest.approx(0.5 * error**2, rel=0.02, abs=0.01)
             if scale == 0:
