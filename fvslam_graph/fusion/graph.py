@@ -84,6 +84,7 @@ class Graph:
         if index == 0:
             self._poses.append(gtsam.Pose3())
             self.add(pose_factor(0, GaussianPose.identity()))
+            self._values.insert(pose_key(0), gtsam.Pose3())
         else:
             motion = self._plausibility.checked(prev_T_cur, stamp - self._stamps[previous])
             if motion is not prev_T_cur:
@@ -95,7 +96,7 @@ class Graph:
                 motion = GaussianPose(self._poses[previous].between(self._poses[index]), motion.covariance)
                 scale, scale_variance = None, 0.0
             self._move(previous, index, motion, scale, scale_variance)
-        self._values.insert(pose_key(index), self._poses[-1])
+            self._values.insert(pose_key(index), self._linearised(previous).compose(motion.mean))
         self._seen[pose_key(index)] = stamp
 
     def add_height(self, height: float, sigma: float, down: Array) -> None:
@@ -183,7 +184,8 @@ class Graph:
                 seen = [(view.frame, view.pixel) for view in candidate.views]
                 self.add(self._landmark_factors.smart(seen, self._noise.sigma, self._counts[index]))
                 continue
-            self._values.insert(landmark_key(candidate.landmark), candidate.position)
+            point = self._linearised(index).transformFrom(self._poses[index].transformTo(candidate.position))
+            self._values.insert(landmark_key(candidate.landmark), point)
             for view in candidate.views:
                 self._observe(candidate.landmark, view)
 
@@ -206,6 +208,15 @@ class Graph:
         elif not np.isnan(view.point).any():
             self.add(self._landmark_factors.bearing_range(view.frame, landmark, view.point, view.covariance))
         self._seen[landmark_key(landmark)] = self._stamps[-1]
+
+    def _linearised(self, frame: int) -> gtsam.Pose3:
+        """The pose where the factors of a frame are linearised.
+
+        New variables begin relative to it, not to the estimate: until it is linearised again, the path may have moved by
+        more than the step that is added to it.
+        """
+        key = pose_key(frame)
+        return self._values.atPose3(key) if self._values.exists(key) else self.solver.linearised(key)
 
     def _has(self, key: int) -> bool:
         """Whether a variable is in the graph, or about to enter it."""

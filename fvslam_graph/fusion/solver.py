@@ -80,6 +80,10 @@ class Solver:
         """The estimate of a pose."""
         return self._solver.calculateEstimatePose3(key)
 
+    def linearised(self, key: int) -> gtsam.Pose3:
+        """Where factors of a pose are linearised."""
+        return self._isam.getLinearizationPoint().atPose3(key)
+
     def point(self, key: int) -> NDArray[np.float64]:
         """The estimate of a point (3,)."""
         point: NDArray[np.float64] = self._solver.calculateEstimatePoint3(key)
@@ -132,11 +136,12 @@ class Solver:
     def _advance(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
         if self._settings.lag is None:
             self._updates += 1
-            when = gtsam.ISAM2UpdateParams()
-            when.force_relinearize = self._updates - self._relinearised >= GROWTH * self._updates
-            if when.force_relinearize:
+            self._solver.update(factors, values)
+            if self._updates - self._relinearised >= GROWTH * self._updates:
                 self._relinearised = self._updates
-            self._solver.update(factors, values, when)
+                again = gtsam.ISAM2UpdateParams()
+                again.force_relinearize = True
+                self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), again)
         else:
             self._solver.update(factors, values, stamps)
         self._solver.calculateEstimatePose3(next(key for key in stamps if is_pose(key)))  # throws, too, if at all

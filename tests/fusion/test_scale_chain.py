@@ -11,7 +11,7 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings, ScaleSettings
 from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep, Views
 from fvslam_graph.evaluation.nees import nees
-from fvslam_graph.fusion.factors import length_factor, pose_key
+from fvslam_graph.fusion.factors import length_factor, pose_key, position_factor
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.graph_files import FACTORS, G2O, VALUES
 from fvslam_graph.fusion.graph_fusion import GraphFusion
@@ -119,6 +119,18 @@ def test_what_is_published_is_as_far_off_as_it_says():
     errors = np.array([gtsam.Pose3.Logmap(estimate.mean.between(TRUE[-1])) for estimate in last])
     values = nees(errors, np.array([estimate.covariance for estimate in last]))[0]
     assert 1 < values.mean() < 3  # lengths alone err, along a curve: of six numbers at most three; measured 2.0
+
+
+def test_a_path_that_moves_by_more_than_a_step():
+    """A position from outside moves it all at once, and new poses come before it is linearised again."""
+    graph = Graph(CAMERA, GraphSettings(landmarks="none", odometry="essential"))
+    graph.add_odometry(0.0, 0, GaussianPose.identity())
+    for index, step in enumerate(steps(70), 1):
+        graph.add_odometry(0.1 * index, index - 1, motion(step), step, step.length.variance)
+        if index == 53:
+            graph.add(position_factor(50, 1.1 * TRUE[50].translation(), 0.01))
+        graph.fuse(None)
+    assert lengths(graph)[50:] == pytest.approx(1.05 * METRES, rel=0.05)  # measured 1.03 to 1.07
 
 
 def test_as_independent_ones_lengths_stay_as_they_are():
