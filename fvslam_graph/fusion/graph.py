@@ -212,8 +212,8 @@ class Graph:
     def _linearised(self, frame: int) -> gtsam.Pose3:
         """The pose where the factors of a frame are linearised.
 
-        New variables begin relative to it, not to the estimate: until it is linearised again, the path may have moved by
-        more than the step that is added to it.
+        New variables begin relative to it, not to the estimate: until it is linearised again, the path may have moved
+        by more than the step that is added to it.
         """
         key = pose_key(frame)
         return self._values.atPose3(key) if self._values.exists(key) else self.solver.linearised(key)
