@@ -134,7 +134,7 @@ class Graph:
         for frame in frames:
             if self.solver.has(pose_key(frame)):
                 self._poses[frame] = self.solver.pose(pose_key(frame))
-        return np.array([self._poses[frame].translation() for frame in frames]).reshape(-1, 3)
+        return np.array([self._poses[frame].translation() for frame in frames])
 
     def smoothed(self) -> Trajectory:
         """All poses, by all measurements; those that a fixed lag has left behind, as they were when they left."""

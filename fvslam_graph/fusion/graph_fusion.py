@@ -56,6 +56,7 @@ class GraphFusion(Fusion):
         fused = self.graph.fuse(views)
         self.reference = self.graph.pose
         if self._settings.online == "steady":
+            # What lies behind the last P_f in the scale in which it was published, the motion since in that of now.
             self.reference = _moved(self.reference, (self._published_scale() - 1) * self.graph.positions([before])[0])
         self._published[self._newest] = self.reference.mean.translation()
         return fused

@@ -48,7 +48,7 @@ class Solver:
         """Take in new factors, first values of new variables, and the time (s) of all variables seen now.
 
         Where that fails, the variable that the factors do not determine is named, gets a weak prior, and all is solved
-        anew; where that does not suffice, by QR.
+        anew; where that does not suffice, without the landmarks seen last.
 
         Raises:
             EstimationError: It cannot be repaired.
@@ -105,7 +105,7 @@ class Solver:
         return np.block([[joint.at(a, b) for b in keys] for a in keys])
 
     def _marginal(self, compute: Callable[[], Any]) -> Any:
-        """What may need a sounder factorisation than the estimate itself."""
+        """What may fail where the estimate itself did not."""
         try:
             return compute()
         except RuntimeError as error:
