@@ -58,6 +58,7 @@ class Graph:
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
         self._stamps: list[float] = []  # of all frames
         self._poses: list[gtsam.Pose3] = []  # world_T_camera of all frames, as known last
+        self._wander: list[Array] = []  # (2,) variance of odometry since the first frame, rad^2 and m^2 along an axis
         self._fused = 0  # the frame of the last reference P_f
         self._start_height = math.nan
         self._begin_batch()
@@ -83,6 +84,7 @@ class Graph:
         self._stamps.append(stamp)
         if index == 0:
             self._poses.append(gtsam.Pose3())
+            self._wander.append(np.zeros(2))
             self.add(pose_factor(0, GaussianPose.identity()))
             self._values.insert(pose_key(0), gtsam.Pose3())
         else:
@@ -95,6 +97,8 @@ class Graph:
                 previous = index - 1
                 motion = GaussianPose(self._poses[previous].between(self._poses[index]), motion.covariance)
                 scale, scale_variance = None, 0.0
+            own = motion.with_scale_variance(-scale_variance)  # a scale in common displaces no landmark
+            self._wander.append(self._wander[previous] + np.diag(own.covariance).reshape(2, 3).max(axis=1))
             self._move(previous, index, motion, scale, scale_variance)
             self._values.insert(pose_key(index), self._linearised(previous).compose(motion.mean))
         self._seen[pose_key(index)] = stamp
@@ -177,7 +181,7 @@ class Graph:
             landmark = int(views.ids[n])
             if self._near(landmark, views.points[n]) and self.solver.has(landmark_key(landmark)):
                 self._observe(landmark, View(index, views.pixels[n], views.points[n], views.covariances[n]))
-        for candidate in self._newcomers.ready(index, views, known, self._poses, self._has):
+        for candidate in self._newcomers.ready(index, views, known, self._poses, self._wander, self._has):
             away = candidate.position - self._poses[candidate.views[0].frame].translation()
             self._distances[candidate.landmark] = float(np.linalg.norm(away))
             if self.settings.landmarks == "smart":

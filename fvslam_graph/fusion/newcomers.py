@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 NEAREST = 0.05  # metres in front of the camera
 PATIENCE = 30  # frames after which a landmark that was not seen again is given up
 GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
-POSE_SLACK = 0.5  # pixels by which poses that are not yet fused may displace a landmark
 RANK_TOLERANCE = 1e-9  # of the triangulation
 
 
@@ -66,6 +65,7 @@ class Newcomers:
         views: Views,
         known: NDArray[np.bool_],
         poses: list[gtsam.Pose3],
+        wander: list[Array],
         has: Callable[[int], bool],
     ) -> list[Candidate]:
         """Take in the views of one frame, and hand out landmarks that can enter the graph.
@@ -75,6 +75,7 @@ class Newcomers:
             views: Of N landmarks.
             known: (N,) which of them are in the graph already.
             poses: world_T_camera of all frames up to this one.
+            wander: (2,) of all frames: by which variance (rad^2, m^2, along an axis) odometry has wandered until there.
             has: Whether the graph has a variable.
         """
         ready = []
@@ -82,7 +83,7 @@ class Newcomers:
             landmark = int(views.ids[n])
             candidate = self._waiting.setdefault(landmark, Candidate(landmark))
             candidate.views.append(View(frame, views.pixels[n], views.points[n], views.covariances[n]))
-            if len(candidate.views) >= self._settings.min_views and self._meets(candidate, poses):
+            if len(candidate.views) >= self._settings.min_views and self._meets(candidate, poses, wander):
                 ready.append(candidate)
         ready.sort(key=lambda candidate: (len(candidate.views), candidate.parallax), reverse=True)
         ready = ready[: self._settings.max_new]
@@ -96,8 +97,8 @@ class Newcomers:
         }
         return [candidate for candidate in ready if len(candidate.views) >= self._settings.min_views]
 
-    def _meets(self, candidate: Candidate, poses: list[gtsam.Pose3]) -> bool:
-        """Triangulate; whether the views agree."""
+    def _meets(self, candidate: Candidate, poses: list[gtsam.Pose3], wander: list[Array]) -> bool:
+        """Triangulate; whether the views agree, up to how well odometry knows the poses to each other."""
         seen_from = [poses[view.frame] for view in candidate.views]
         pixels = np.array([view.pixel for view in candidate.views])
         last = seen_from[-1].rotation().matrix() @ candidate.views[-1].point
@@ -113,5 +114,6 @@ class Newcomers:
         candidate.position = point
         there = np.array([pose.transformTo(point) for pose in seen_from])
         error = self._camera.project(there) - pixels
-        variance = self._settings.pixel_sigma**2 + POSE_SLACK**2
+        turned, moved = wander[candidate.views[-1].frame] - wander[candidate.views[0].frame]
+        variance = self._settings.pixel_sigma**2 + self._camera.fx**2 * (turned + moved / there[:, 2] ** 2)
         return bool((there[:, 2] > NEAREST).all() and ((error**2).sum(axis=1) < GATE * variance).all())

@@ -30,7 +30,8 @@ class Plausibility:
             return prev_T_cur
         if self._velocity is not None:
             predicted = gtsam.Pose3.Expmap(self._velocity * seconds)
-            covariance = np.diag((ACCELERATION * seconds**2) ** 2)
+            old = (self._failures + 1) * seconds  # the velocity
+            covariance = np.diag((ACCELERATION * old * seconds) ** 2)
             error = gtsam.Pose3.Logmap(predicted.between(prev_T_cur.mean))
             plausible = error @ np.linalg.solve(covariance + prev_T_cur.covariance, error) < GATE
             self._failures = 0 if plausible else self._failures + 1

@@ -141,6 +141,9 @@ class Solver:
                 self._relinearised = self._updates
                 again = gtsam.ISAM2UpdateParams()
                 again.force_relinearize = True
+                again.constrainedKeys = gtsam.KeyGroupMap()
+                for key in stamps:  # eliminated last, since the next update is about them
+                    again.constrainedKeys.insert2(key, 1)
                 self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), again)
         else:
             self._solver.update(factors, values, stamps)
