@@ -70,7 +70,7 @@ class Graph:
         prev_T_cur: GaussianPose,
         scale: ScaleStep | None = None,
         scale_variance: float = 0.0,
-    ) -> None:
+    ) -> GaussianPose:
         """The next frame, with its motion since an earlier one.
 
         Args:
@@ -79,8 +79,11 @@ class Graph:
             prev_T_cur: The motion.
             scale: What was learnt of its scale; None where it has that of the map in the earlier frame.
             scale_variance: How much of the covariance is due to the logarithm of the scale.
+
+        Returns:
+            The motion, or what is plausible in its place.
         """
-        index = len(self._poses)
+        index, taken = len(self._poses), prev_T_cur
         self._stamps.append(stamp)
         if index == 0:
             self._poses.append(gtsam.Pose3())
@@ -88,7 +91,7 @@ class Graph:
             self.add(pose_factor(0, GaussianPose.identity()))
             self._values.insert(pose_key(0), gtsam.Pose3())
         else:
-            motion = self._plausibility.checked(prev_T_cur, stamp - self._stamps[previous])
+            motion = taken = self._plausibility.checked(prev_T_cur, stamp - self._stamps[previous])
             if motion is not prev_T_cur:
                 scale, scale_variance = None, 0.0
             self._poses.append(self._poses[previous].compose(motion.mean))
@@ -102,6 +105,7 @@ class Graph:
             self._move(previous, index, motion, scale, scale_variance)
             self._values.insert(pose_key(index), self._linearised(previous).compose(motion.mean))
         self._seen[pose_key(index)] = stamp
+        return taken
 
     def add_height(self, height: float, sigma: float, down: Array) -> None:
         """A reading of the height above level ground (m), at the newest frame; `down` (3,) in the first camera."""
@@ -113,11 +117,12 @@ class Graph:
         """Anything else that is known of poses, see `factors`; it takes effect when the graph is solved next."""
         self._factors.add(factor)
 
-    def fuse(self, views: Views | None) -> GaussianPose:
+    def fuse(self, views: Views | None) -> GaussianPose | None:
         """Take in what the newest frame shows of landmarks, and solve.
 
         Returns:
-            The motion since the last call (since the first frame, at the first one), with its marginal covariance.
+            The motion since the last call (since the first frame, at the first one), with its marginal covariance; None
+            where the lag has left that frame behind.
         """
         index = len(self._poses) - 1
         if views is not None and self.settings.landmarks != "none":
@@ -126,17 +131,22 @@ class Graph:
         if views is not None:
             self._learn(views)
         first, self._fused = self._fused, index
+        if not self.has(first):
+            return None
         return _motion(self.solver, pose_key(first), pose_key(index), self._poses[first], self._poses[index])
 
-    @property
-    def pose(self) -> GaussianPose:
-        """Where the graph has the camera at the last fused frame."""
-        return GaussianPose(self._poses[self._fused], self.solver.covariance(pose_key(self._fused)))
+    def has(self, frame: int) -> bool:
+        """Whether the pose of a frame is in the graph that was solved last, and not beyond the lag."""
+        return self.solver.has(pose_key(frame))
+
+    def pose(self, frame: int) -> GaussianPose:
+        """Where the graph has the camera at one of the newest frames, as it was solved last."""
+        return GaussianPose(self._poses[frame], self.solver.covariance(pose_key(frame)))
 
     def positions(self, frames: list[int]) -> Array:
         """Where the camera was in N frames as known now, (N, 3) in the world, metres."""
         for frame in frames:
-            if self.solver.has(pose_key(frame)):
+            if self.has(frame):
                 self._poses[frame] = self.solver.pose(pose_key(frame))
         return np.array([self._poses[frame].translation() for frame in frames])
 
@@ -232,7 +242,7 @@ class Graph:
     def _solve(self) -> None:
         self.solver.update(self._factors, self._values, self._seen)
         for index in range(max(self._fused - RECENT, 0), len(self._poses)):
-            if self.solver.has(pose_key(index)):
+            if self.has(index):
                 self._poses[index] = self.solver.pose(pose_key(index))
         if self.settings.lag is not None:
             self._scales.forget()

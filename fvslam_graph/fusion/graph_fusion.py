@@ -33,6 +33,9 @@ class GraphFusion(Fusion):
         self._settings = settings
         self._down = ground.normal if ground is not None and settings.heights else None
         self._newest = 0  # frame
+        # Online poses of the newest frame and of the one that its motion starts from. Where this is before the last P_f,
+        # what the motion to P_f erred about is not counted: the next motion does without it.
+        self._poses: dict[int, GaussianPose] = {}
         self._published: dict[int, Array] = {}  # where P_f was, at each interleaved frame
 
     def add_odometry(
@@ -41,9 +44,19 @@ class GraphFusion(Fusion):
         """The motion of a frame, and the height above level ground, if this is asked for."""
         super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance)
         self._newest = frame.index
-        self.graph.add_odometry(frame.stamp, previous, prev_T_cur, scale, scale_variance)
+        motion = self.graph.add_odometry(frame.stamp, previous, prev_T_cur, scale, scale_variance)
+        start = self._poses.get(previous)
+        if start is None:  # beyond the lag, or the first frame
+            self._poses = {frame.index: super().pose}
+        else:
+            self._poses = {previous: start, frame.index: start.compose(motion)}
         if self._down is not None and frame.height > 0:
             self.graph.add_height(frame.height, frame.height_sigma, self._down)
+
+    @property
+    def pose(self) -> GaussianPose:
+        """world_T_camera of the newest frame: carried on by odometry from the frame that its motion starts from."""
+        return self._poses[self._newest]
 
     def start(self, pose: GaussianPose, views: Views) -> None:
         """Landmarks begin at the newest frame."""
@@ -54,12 +67,14 @@ class GraphFusion(Fusion):
     def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
         before = next(reversed(self._published))
         fused = self.graph.fuse(views)
-        self.reference = self.graph.pose
+        away = np.zeros(3)
         if self._settings.online == "steady":
             # What lies behind the last P_f in the scale in which it was published, the motion since in that of now.
-            self.reference = _moved(self.reference, (self._published_scale() - 1) * self.graph.positions([before])[0])
+            away = (self._published_scale() - 1) * self.graph.positions([before])[0]
+        self._poses = {frame: _moved(self.graph.pose(frame), away) for frame in self._poses if self.graph.has(frame)}
+        self.reference = self.pose
         self._published[self._newest] = self.reference.mean.translation()
-        return fused
+        return self.motion if fused is None else fused
 
     def _published_scale(self) -> float:
         """The scale in which the path was published, against that in which the graph has it now, by least squares."""

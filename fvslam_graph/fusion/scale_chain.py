@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
 from fvslam_graph.fusion.factors import SHORT, pose_key
 
-LENGTH_SIGMA = 1e-3  # share of a length that it errs by, beyond its scale
+LENGTH_SIGMA = 1e-4  # share of a length that it errs by, beyond its scale
 
 
 def scale_key(frame: int) -> int:
