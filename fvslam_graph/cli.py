@@ -47,6 +47,7 @@ Stride = Annotated[int, typer.Option(help="Take every n-th frame.", min=1)]
 ImageScale = Annotated[float, typer.Option(help="Resize the images by this factor, at most 1.")]
 CameraHeight = Annotated[float | None, typer.Option(help="Metres from the camera to the ground.")]
 CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera looks below the horizon.")]
+CameraK1 = Annotated[float | None, typer.Option(help="Radial distortion left in the images; see `distortion`.")]
 Preset = Annotated[str, typer.Option(help="paper or tuned.")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
@@ -70,6 +71,7 @@ def run(
     image_scale: ImageScale = 1.0,
     camera_height: CameraHeight = None,
     camera_pitch: CameraPitch = None,
+    camera_k1: CameraK1 = None,
 ) -> None:
     """Run an estimator on a sequence and keep the result in a folder."""
     from fvslam_graph.config import load_config
@@ -84,6 +86,7 @@ def run(
         "scale": image_scale,
         "camera_height": camera_height,
         "camera_pitch": camera_pitch,
+        "camera_k1": camera_k1,
     }
     sequence = open_sequence(**source)
     folder = out or Path("runs") / re.sub(r"[^\w.-]+", "-", f"{sequence.name}-{chosen.mode}-{chosen.preset}")
@@ -201,6 +204,20 @@ def info(path: SequencePath, camera_height: CameraHeight = None, camera_pitch: C
     for name, value in describe(open_sequence(path, camera_height=camera_height, camera_pitch=camera_pitch)):
         table.add_row(name, value)
     _show(table)
+
+
+@app.command()
+def distortion(path: SequencePath, frames: Frames = None, stride: Stride = 1, camera_k1: CameraK1 = None) -> None:
+    """Measure the radial distortion (k1) that the calibration has left in the images, by tracks of odometry.
+
+    It shows where the camera turns; `run --camera-k1` takes it out.
+    """
+    from fvslam_graph.sequences.opening import open_sequence
+    from fvslam_graph.vo.distortion import measure_distortion
+
+    sequence = open_sequence(path, frames=frames, stride=stride, camera_k1=camera_k1)
+    k1, sigma = measure_distortion(sequence)
+    typer.echo(f"k1 = {k1:.4f} +- {sigma:.4f} (standard deviation)")
 
 
 @app.command()

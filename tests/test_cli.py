@@ -1,6 +1,7 @@
 """The commands, from their arguments to the files and the text that they leave."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -132,6 +133,14 @@ def test_info(drive, fvslam):
     assert facts["images"].startswith("320x100 pixels")
     assert "12 poses" in out and "above ground (times.csv height_m)" in facts["scale"]
     assert "above ground (given)" in fvslam("info", drive, "--camera-height", 2).out
+
+
+def test_distortion(fvslam):
+    code, out, err = fvslam("distortion", "synthetic:uav?frames=12")
+    assert (code, err) == (0, "")
+    k1, sigma = map(float, re.match(r"k1 = (\S+) \+- (\S+) ", out).groups())
+    assert abs(k1) < 4 * sigma < 0.1
+    assert fvslam("distortion", "synthetic:uav?frames=12", "--camera-k1", 2).code == 1
 
 
 def test_demo(tmp_path, fvslam):

@@ -33,8 +33,8 @@ class GraphFusion(Fusion):
         self._settings = settings
         self._down = ground.normal if ground is not None and settings.heights else None
         self._newest = 0  # frame
-        # Online poses of the newest frame and of the one that its motion starts from. Where this is before the last P_f,
-        # what the motion to P_f erred about is not counted: the next motion does without it.
+        # Online poses of the newest frame and of the one that its motion starts from. Where this is before the last
+        # P_f, what the motion to P_f erred about is not counted: the next motion does without it.
         self._poses: dict[int, GaussianPose] = {}
         self._published: dict[int, Array] = {}  # where P_f was, at each interleaved frame
 

@@ -9,9 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Image
+from fvslam_graph.camera import Camera, Distortion, Image, Rectifier
 from fvslam_graph.errors import SequenceError
 from fvslam_graph.trajectory import Trajectory
+
+MOST_DISTORTED = 0.3  # k1; more is no rest that a calibration has left
 
 
 @dataclass(frozen=True)
@@ -118,3 +120,23 @@ class Sequence:
             return small
 
         return replace(self, camera=camera, load=resized)
+
+    def straightened(self, k1: float) -> Sequence:
+        """The same recording with a radial distortion taken out of its images: k1 of OpenCV's model.
+
+        Raises:
+            SequenceError: It is no small distortion.
+        """
+        if not abs(k1) <= MOST_DISTORTED:
+            raise SequenceError(f"the distortion k1 must be between -{MOST_DISTORTED} and {MOST_DISTORTED}, not {k1:g}")
+        load, size = self.load, (self.camera.height, self.camera.width)
+        rectifier = Rectifier(
+            replace(self.camera, distortion=Distortion.RADTAN, coefficients=(k1, 0, 0, 0)), self.camera
+        )
+
+        def straight(index: int) -> Image | None:
+            image = load(index)
+            return None if image is None or image.shape != size else rectifier(image)
+
+        note = f"a radial distortion of k1 = {k1:g} is taken out of the images"
+        return replace(self, load=straight, notes=(*self.notes, note))

@@ -39,6 +39,7 @@ def open_sequence(
     scale: float = 1.0,
     camera_height: float | None = None,
     camera_pitch: float | None = None,
+    camera_k1: float | None = None,
     format: str | None = None,
 ) -> Sequence:
     """Open a recording of any known format, or a synthetic world by its name (`synthetic:uav?seed=3`).
@@ -50,6 +51,7 @@ def open_sequence(
         scale: Resize the images by this factor, 0 < scale <= 1.
         camera_height: Metres from the camera to the ground, where the format does not know or is wrong.
         camera_pitch: Radians by which the camera looks below the horizon; 0 is straight ahead, pi/2 straight down.
+        camera_k1: Radial distortion that the calibration has left in the images, as `fvslam distortion` measures it.
         format: Name of the format, instead of finding out.
 
     Raises:
@@ -60,6 +62,8 @@ def open_sequence(
     start, stop = _slice(frames or ":")
     sequence = _synthetic(path) if str(path).startswith("synthetic:") else _recorded(Path(path), format)
     sequence = override_ground(sequence, camera_height, camera_pitch).select(start, stop, stride)
+    if camera_k1 is not None:
+        sequence = sequence.straightened(camera_k1)
     return sequence if scale == 1 else sequence.scaled(scale)
 
 

@@ -47,7 +47,7 @@ class Study(BaseModel):
 
     Attributes:
         name: Title of the report.
-        sequences: Paths, or groups with path, name, frames, stride, scale, camera_height, camera_pitch.
+        sequences: Paths, or groups with path, name, frames, stride, scale, camera_height, camera_pitch, camera_k1.
         modes: Of the estimator.
         presets: "paper", "tuned" or both.
         settings: Values to try by setting, such as {"fusion.weight": [0.3, 0.5]}; a single value holds for all runs.

@@ -46,6 +46,7 @@ class Source(BaseModel):
     scale: float = Field(1.0, gt=0, le=1)
     camera_height: PositiveFloat | None = None
     camera_pitch: float | None = None
+    camera_k1: float | None = None
 
     @property
     def label(self) -> str:

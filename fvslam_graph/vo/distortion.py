@@ -1,0 +1,105 @@
+"""Radial distortion that a calibration has left in the images, by how odometry's tracks fit together."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.config import load_config
+from fvslam_graph.errors import EstimationError
+from fvslam_graph.features.tracks import Tracks
+from fvslam_graph.sequences.base import MOST_DISTORTED, Sequence
+from fvslam_graph.vo.odometry import VisualOdometry
+from fvslam_graph.vo.two_view import LOSS_SCALE, rays, sampson
+
+Array = NDArray[np.float64]
+
+STEP = 1e-3  # of a derivative
+PASSES = 3
+
+
+class RadialDistortion:
+    """One coefficient for all images, from many pairs of them.
+
+    The ray (x, y, 1) of a pixel is (x, y) / (1 + k1 (x^2 + y^2)) in truth, which is OpenCV's k1 as long as it is small.
+    It shows in the epipolar distances of two views, mostly where the camera turns. The Cauchy loss is minimised by one
+    step of Newton from zero, with the motion of each pair, which would take up a part of it, eliminated.
+
+    Args:
+        camera: Of the images, without distortion as far as is known.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+        self._pairs: list[tuple[float, float]] = []  # curvature of the Cauchy loss along k1, and its fall
+
+    def add(self, tracks: Tracks, ref_T_cur: gtsam.Pose3) -> None:
+        """Take in a pair of images.
+
+        Args:
+            tracks: N points in both.
+            ref_T_cur: The motion that explains them best without distortion; its length does not matter.
+        """
+        reference, current = rays(self._camera, tracks.reference), rays(self._camera, tracks.current)
+        rotation, direction = ref_T_cur.rotation(), ref_T_cur.translation() / np.linalg.norm(ref_T_cur.translation())
+        distance, by_motion = sampson(reference, current, rotation, direction, self._camera.fx)
+        essential = gtsam.SO3.Hat(direction) @ rotation.matrix()
+        more, less = (_distance(reference, current, essential, k1) for k1 in (STEP, -STEP))
+        by_k1 = self._camera.fx * (more - less) / (2 * STEP)
+        square = (distance / LOSS_SCALE) ** 2
+        curvature = (1 - square) / (1 + square) ** 2
+        weighted = curvature[:, None] * by_motion
+        own = by_k1 - by_motion @ np.linalg.solve(weighted.T @ by_motion, weighted.T @ by_k1)
+        self._pairs.append((float(own @ (curvature * own)), -float(own @ (distance / (1 + square)))))
+
+    def estimate(self) -> tuple[float, float]:
+        """k1 and its standard deviation, by how much the pairs differ about it.
+
+        Raises:
+            EstimationError: There are fewer than two pairs.
+        """
+        if len(self._pairs) < 2:
+            raise EstimationError("the camera has not moved enough to tell its distortion")
+        curvature, fall = np.array(self._pairs).T
+        k1 = fall.sum() / curvature.sum()
+        return float(k1), float(np.linalg.norm(fall - curvature * k1) / curvature.sum())
+
+
+def _distance(reference: Array, current: Array, essential: Array, k1: float) -> Array:
+    """Sampson distances (N,) of rays (N, 3), measured in the images as they are, at unit focal length."""
+    seen = reference[:, :2], current[:, :2]
+    shrink = [1 / (1 + k1 * (pixels**2).sum(axis=1, keepdims=True)) for pixels in seen]
+    straight = [
+        np.column_stack([factor * pixels, np.ones(len(pixels))]) for factor, pixels in zip(shrink, seen, strict=True)
+    ]
+    lines = straight[1] @ essential.T, straight[0] @ essential
+    square = np.zeros(len(reference))
+    for pixels, factor, line in zip(seen, shrink, lines, strict=True):
+        # The derivative of factor * pixels is factor - 2 k1 factor^2 pixels pixels^T.
+        across = (pixels * line[:, :2]).sum(axis=1, keepdims=True)
+        square += ((factor * line[:, :2] - 2 * k1 * factor**2 * across * pixels) ** 2).sum(axis=1)
+    return np.asarray((straight[0] * lines[0]).sum(axis=1) / np.sqrt(np.maximum(square, 1e-12)))
+
+
+def measure_distortion(sequence: Sequence) -> tuple[float, float]:
+    """k1 of a recording and its standard deviation, by odometry on all of its frames.
+
+    A strong distortion makes outliers of the points that tell most about it; so it is taken out, and what is left
+    is measured again.
+
+    Raises:
+        EstimationError: The camera has hardly moved.
+    """
+    k1 = 0.0
+    for _ in range(PASSES):
+        vo = VisualOdometry(sequence.camera, load_config(settings=["scale.source=unit"]))
+        distortion = RadialDistortion(sequence.camera)
+        for frame in sequence.straightened(k1) if k1 else sequence:
+            estimate = vo.step(frame)
+            if estimate.scale is not None:  # by two views
+                distortion.add(estimate.tracks, estimate.prev_T_cur.mean)
+        more, sigma = distortion.estimate()
+        k1 = min(max(k1 + more, -MOST_DISTORTED), MOST_DISTORTED)
+    return k1, sigma
