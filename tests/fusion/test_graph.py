@@ -54,16 +54,13 @@ def test_motions_and_covariances_are_honest(fed):
     assert 4.5 < np.mean(values) < 7.5  # six degrees of freedom
 
 
-@pytest.mark.parametrize(("shared", "bound"), [(0.0, 1.5), (GraphSettings().shared_noise, 1.8)])
-def test_a_fifth_of_gross_outliers(fed, shared, bound):
-    """In odometry and landmarks, after a clean start: measured 1.27 and 1.64.
-
-    Landmarks that may share an error fill less of the gap that wrong motions leave.
-    """
+@pytest.mark.parametrize("shared", [0.0, GraphSettings().shared_noise])
+def test_a_fifth_of_gross_outliers(fed, shared):
+    """In odometry and landmarks, after a clean start: measured 0.94 and 1.40, over 20 seeds 0.96 and 1.19."""
     clean, wrong = (
         np.mean([fed(seed=seed, wrong=share, shared_noise=shared).error() for seed in SEEDS]) for share in (0.0, 0.2)
     )
-    assert 0.02 < wrong < bound * clean
+    assert 0.02 < wrong < 1.5 * clean
 
 
 def test_darkness(fed):

@@ -2,6 +2,7 @@
 
 import gtsam
 import numpy as np
+import pytest
 
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.plausibility import PATIENCE, Plausibility
@@ -30,6 +31,15 @@ def test_a_jump_is_replaced_by_what_was_expected():
     assert np.sqrt(replaced.covariance[3, 3]) == 3.0 * 0.1**2
     motion = sure(FORWARD)
     assert check.checked(motion, 0.1) is motion
+
+
+def test_an_old_velocity_says_less():
+    """The acceleration may have lasted since then."""
+    check = Plausibility()
+    for _ in range(3):
+        check.checked(sure(FORWARD), 0.1)
+    spread = [np.sqrt(check.checked(sure(JUMP), 0.1).covariance[3, 3]) for _ in range(3)]
+    assert spread == pytest.approx([0.03, 0.06, 0.09])
 
 
 def test_a_jump_that_stays_is_a_new_velocity():

@@ -1,0 +1,41 @@
+"""Landmarks that wait until they are known well enough."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.config import GraphSettings
+from fvslam_graph.estimates import Views
+from fvslam_graph.fusion.newcomers import Newcomers
+
+CAMERA = Camera(640, 480, 450.0, 450.0, 319.5, 239.5)
+POINT = np.array([0.2, 0.1, 6.0])
+TRUE = [gtsam.Pose3(gtsam.Rot3(), np.array([0.1 * index, 0.0, 0.0])) for index in range(4)]
+TURNED = gtsam.Pose3(gtsam.Rot3.Rodrigues(0.0, 0.01, 0.0), TRUE[3].translation())  # 4.5 pixels
+SHIFTED = gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.05, 0.0]))  # 3.7 pixels
+
+
+def handed_out(last: gtsam.Pose3, wander: np.ndarray) -> int:
+    """How many landmarks enter at the last of four frames, where odometry has the camera there."""
+    newcomers, poses = Newcomers(CAMERA, GraphSettings(min_views=4)), [*TRUE[:3], last]
+    for index, true in enumerate(TRUE):
+        there = true.transformTo(POINT)[None]
+        views = Views(np.array([7]), CAMERA.project(there), there, 0.01 * np.eye(3)[None])
+        ready = newcomers.ready(index, views, np.zeros(1, bool), poses, [np.zeros(2)] * 3 + [wander], lambda _: True)
+    return len(ready)
+
+
+@pytest.mark.parametrize(
+    ("last", "wander", "enters"),
+    [
+        (TRUE[3], [0, 0], True),
+        (TURNED, [1e-6, 0], False),
+        (TURNED, [1e-4, 0], True),
+        (SHIFTED, [0, 0.005**2], False),
+        (SHIFTED, [0, 0.05**2], True),
+    ],
+)
+def test_views_agree_as_well_as_odometry_knows_them_to_each_other(last, wander, enters):
+    """Else, where odometry has failed, no landmark would enter that could tell where the camera went."""
+    assert handed_out(last, np.array(wander)) == enters
