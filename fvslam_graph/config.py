@@ -78,6 +78,11 @@ class ScaleSettings(_Group):
     map_sigma: PositiveFloat = 0.006  # of log scale, added for each keyframe over which the map carries it
     ground: GroundSettings = GroundSettings()
 
+    @property
+    def relative(self) -> bool:
+        """Whether nothing tells metres, so that the first scale is a convention."""
+        return self.source in (ScaleSource.MAP, ScaleSource.UNIT)
+
 
 class Mode(StrEnum):
     """What estimates the poses."""

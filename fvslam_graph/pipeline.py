@@ -128,7 +128,7 @@ def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None
 def _fusion(sequence: Sequence, config: Config) -> Fusion:
     """What the mode makes of both; in mode `vo` there is nothing to fuse."""
     if config.mode is Mode.GRAPH:
-        return GraphFusion(sequence.camera, config.graph, sequence.ground)
+        return GraphFusion(sequence.camera, config.graph, sequence.ground, config.scale.relative)
     if config.mode is Mode.INTERSECTION:
         return RuleFusion(Intersection(config.fusion.criterion))
     if config.mode is Mode.AVERAGE:
@@ -141,10 +141,9 @@ def _start(
 ) -> SlamEstimate | None:
     """Visual SLAM begins where odometry knows enough points to begin with, and the scale source has spoken."""
     points, seconds = odometry.points, frame.stamp - float(sequence.stamps[odometry.previous])
-    relative = config.scale.source in (ScaleSource.MAP, ScaleSource.UNIT)
     if odometry.status is not Status.TRACKED or len(points) < config.slam.min_landmarks:
         return None
-    if points.log_variance >= VAGUE and not relative:
+    if points.log_variance >= VAGUE and not config.scale.relative:
         return None
     return vslam.start(frame, pose, odometry.prev_T_cur, seconds, points)
 

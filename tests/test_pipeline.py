@@ -255,6 +255,15 @@ def test_the_graph_at_every_fifth_frame(flown, online):
     assert 0.001 < np.linalg.norm(error.translation()) < 0.5  # metres on 29 m; measured 0.1
 
 
+@pytest.mark.parametrize("source", ["map", "unit"])
+def test_a_graph_without_metres(flown, source):
+    """Lengths are those of odometry: with its first scale, or each 1 m."""
+    results = list(estimate(flown, load_config(settings=["mode=graph", f"scale.source={source}"])))
+    vo = list(estimate(flown, load_config(settings=["mode=vo", f"scale.source={source}"])))
+    far, expected = (np.linalg.norm(run[-1].pose.mean.translation()) for run in (results, vo))
+    assert far == pytest.approx(expected, rel=0.02)
+
+
 def test_thirty_black_images(flown):
     """The run goes on, the covariance grows, and when it is light again, the motion is known again."""
     long = open_sequence("synthetic:uav?frames=60")

@@ -44,16 +44,17 @@ class Graph:
     Args:
         camera: Undistorted.
         settings: Which factors, how robust, how long they are kept.
+        relative: Nothing tells metres: the first scale of odometry is taken as it is.
     """
 
-    def __init__(self, camera: Camera, settings: GraphSettings) -> None:
+    def __init__(self, camera: Camera, settings: GraphSettings, relative: bool = False) -> None:
         self.settings = settings
         self.solver = Solver(settings)
         self._landmark_factors = LandmarkFactors(camera, settings)
         self._plausibility = Plausibility()
         self._newcomers = Newcomers(camera, settings)
         self._noise = PixelNoise(camera, settings.pixel_sigma)
-        self._scales = ScaleChain(self.add, self._insert, self._has)
+        self._scales = ScaleChain(self.add, self._insert, self._has, relative)
         self._counts: dict[int, int] = {}  # landmarks that each interleaved frame shows
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
         self._stamps: list[float] = []  # of all frames

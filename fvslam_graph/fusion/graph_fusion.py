@@ -25,11 +25,12 @@ class GraphFusion(Fusion):
         camera: Undistorted.
         settings: Of the graph.
         ground: Below the camera, where its height is measured.
+        relative: Nothing tells metres.
     """
 
-    def __init__(self, camera: Camera, settings: GraphSettings, ground: Ground | None) -> None:
+    def __init__(self, camera: Camera, settings: GraphSettings, ground: Ground | None, relative: bool = False) -> None:
         super().__init__()
-        self.graph: Graph = Graph(camera, settings)
+        self.graph: Graph = Graph(camera, settings, relative)
         self._settings = settings
         self._down = ground.normal if ground is not None and settings.heights else None
         self._newest = 0  # frame

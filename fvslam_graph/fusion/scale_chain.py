@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
 from fvslam_graph.fusion.factors import SHORT, pose_key
+from fvslam_graph.vo.scale import VAGUE
 
 LENGTH_SIGMA = 1e-4  # share of a length that it errs by, beyond its scale
+CONVENTION = 1e-3  # of the logarithm of a scale that nothing measures
 
 
 def scale_key(frame: int) -> int:
@@ -48,6 +50,8 @@ class ScaleChain:
         add: Takes a factor,
         insert: and the first value of a variable.
         has: Whether a variable is in the graph, or about to enter it.
+        relative: Nothing tells metres. Then the first scale is a convention: one that is merely not known would shrink
+            the path to a point, where what errs by metres errs by none.
     """
 
     def __init__(
@@ -55,8 +59,9 @@ class ScaleChain:
         add: Callable[[gtsam.NonlinearFactor], None],
         insert: Callable[[int, float], None],
         has: Callable[[int], bool],
+        relative: bool = False,
     ) -> None:
-        self._add, self._insert, self._has = add, insert, has
+        self._add, self._insert, self._has, self._relative = add, insert, has, relative
         self._scale_of: dict[int, int] = {}  # frame where the scale was learnt that another frame's map has
         self._lengths: dict[tuple[int, int], _Length] = {}  # of the motions between two frames
 
@@ -80,11 +85,11 @@ class ScaleChain:
         self._scale_of[index] = index
         self._insert(scale_key(index), 0.0)
         if step is None:
-            self._hold(scale_key(index), LogScale(0.0, variance))
+            self._begin(scale_key(index), LogScale(0.0, variance))
             return [scale_key(index)]
         carried = LogScale(step.carried.mean - step.length.mean, step.carried.variance)
-        if before is None:
-            self._hold(scale_key(index), carried)
+        if before is None or (self._relative and carried.variance >= VAGUE):
+            self._begin(scale_key(index), carried)
         else:
             self._link(scale_key(before), scale_key(index), carried)
         if step.shared > 0:
@@ -141,6 +146,10 @@ class ScaleChain:
 
     def _variables(self, frame: int) -> list[int]:
         return [key for key in (scale_key(frame), bias_key(frame)) if self._has(key)]
+
+    def _begin(self, key: int, value: LogScale) -> None:
+        """The first scale of a chain, or of what is left of it."""
+        self._hold(key, LogScale(value.mean, CONVENTION**2) if self._relative else value)
 
     def _hold(self, key: int, value: LogScale) -> None:
         self._add(gtsam.PriorFactorDouble(key, value.mean, _sigma(value.variance)))

@@ -11,7 +11,7 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings, ScaleSettings
 from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep, Views
 from fvslam_graph.evaluation.nees import nees
-from fvslam_graph.fusion.factors import length_factor, pose_key, position_factor
+from fvslam_graph.fusion.factors import length_factor, motion_factor, pose_key, position_factor
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.graph_files import FACTORS, G2O, VALUES
 from fvslam_graph.fusion.graph_fusion import GraphFusion
@@ -151,6 +151,25 @@ def test_a_scale_in_common_does_not_average_out():
         spread[kind] = math.sqrt(far @ pose.covariance[3:, 3:] @ far) / (far @ far)
     assert spread["chained"] == pytest.approx(0.05, rel=0.02)
     assert spread["independent"] < 0.02
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_a_scale_that_nothing_measures_is_a_convention(relative):
+    """Else, motions that contradict each other would shrink the path to a point, where they differ by no metres."""
+    graph = Graph(CAMERA, GraphSettings(landmarks="none", kernel="none"), relative)
+    graph.add_odometry(0.0, 0, GaussianPose.identity())
+    for number in range(12):
+        unknown = number in (0, 6)  # odometry begins anew at the seventh
+        carried = LogScale(math.log(METRES), 1.0 if unknown else DRIFT**2)
+        step = ScaleStep(LogScale(math.log(METRES), 1.0), carried)
+        graph.add_odometry(0.1 * (number + 1), number, motion(step), step, 1.0)
+    for first, last in ((0, 5), (7, 12)):
+        aside = TRUE[first].between(TRUE[last]) * gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.0, 0.0]))
+        told = GaussianPose(aside, np.diag(np.repeat([0.1, 0.01], 3) ** 2))
+        graph.add(motion_factor(first, last, told, graph.settings, length=False))
+    graph.fuse(None)
+    shares = lengths(graph) / METRES
+    assert (0.85 < shares.min() < shares.max() < 1.05) if relative else shares.max() < 0.1
 
 
 def test_a_frame_that_is_located_has_the_scale_of_its_map():
