@@ -10,6 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+VAGUE = 0.2**2  # variance of the logarithm of a scale from which on it tells nothing
+
 
 @dataclass(frozen=True)
 class GaussianPose:

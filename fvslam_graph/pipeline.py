@@ -11,7 +11,7 @@ import numpy as np
 
 from fvslam_graph.config import Config, Mode, ScaleSource
 from fvslam_graph.errors import ConfigError
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.estimates import VAGUE, GaussianPose
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.tracks import Association
 from fvslam_graph.fusion.average import Average
@@ -29,7 +29,6 @@ from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.trajectory import Status
 from fvslam_graph.vo.estimate import VoEstimate
 from fvslam_graph.vo.odometry import VisualOdometry
-from fvslam_graph.vo.scale import VAGUE
 
 VO_STAGES = ("association", "pose", "scale", "detection")
 SLAM_STAGES = ("filter", "search", "map", "fusion")

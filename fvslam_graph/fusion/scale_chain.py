@@ -10,9 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
+from fvslam_graph.estimates import VAGUE, GaussianPose, LogScale, ScaleStep
 from fvslam_graph.fusion.factors import SHORT, pose_key
-from fvslam_graph.vo.scale import VAGUE
 
 LENGTH_SIGMA = 1e-4  # share of a length that it errs by, beyond its scale
 CONVENTION = 1e-3  # of the logarithm of a scale that nothing measures

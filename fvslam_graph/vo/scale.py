@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.config import ScaleSettings, ScaleSource
 from fvslam_graph.errors import ConfigError
-from fvslam_graph.estimates import LogScale, ScaleStep
+from fvslam_graph.estimates import VAGUE, LogScale, ScaleStep
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.vo.depth import InverseDepths
 from fvslam_graph.vo.ground import GroundAligner
@@ -19,7 +19,6 @@ from fvslam_graph.vo.scale_filter import ScaleFilter
 from fvslam_graph.vo.two_view import TwoView
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
-VAGUE = 0.2**2  # of log scale: such a prediction does not lead to the ground
 MIN_COMMON = 10  # tracks of known depth that tell a scale
 
 
