@@ -59,7 +59,7 @@ class Graph:
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
         self._stamps: list[float] = []  # of all frames
         self._poses: list[gtsam.Pose3] = []  # world_T_camera of all frames, as known last
-        self._wander: list[Array] = []  # (2,) variance of odometry since the first frame, rad^2 and m^2 along an axis
+        self._wander: list[Array] = []  # (2, 2) of all frames, see `Newcomers.ready`
         self._fused = 0  # the frame of the last reference P_f
         self._start_height = math.nan
         self._begin_batch()
@@ -88,7 +88,7 @@ class Graph:
         self._stamps.append(stamp)
         if index == 0:
             self._poses.append(gtsam.Pose3())
-            self._wander.append(np.zeros(2))
+            self._wander.append(np.zeros((2, 2)))
             self.add(pose_factor(0, GaussianPose.identity()))
             self._values.insert(pose_key(0), gtsam.Pose3())
         else:
@@ -102,7 +102,8 @@ class Graph:
                 motion = GaussianPose(self._poses[previous].between(self._poses[index]), motion.covariance)
                 scale, scale_variance = None, 0.0
             own = motion.with_scale_variance(-scale_variance)  # a scale in common displaces no landmark
-            self._wander.append(self._wander[previous] + np.diag(own.covariance).reshape(2, 3).max(axis=1))
+            start = self._wander[previous][0]
+            self._wander.append(np.array([start + np.diag(own.covariance).reshape(2, 3).max(axis=1), start]))
             self._move(previous, index, motion, scale, scale_variance)
             self._values.insert(pose_key(index), self._linearised(previous).compose(motion.mean))
         self._seen[pose_key(index)] = stamp

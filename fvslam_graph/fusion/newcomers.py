@@ -75,7 +75,8 @@ class Newcomers:
             views: Of N landmarks.
             known: (N,) which of them are in the graph already.
             poses: world_T_camera of all frames up to this one.
-            wander: (2,) of all frames: by which variance (rad^2, m^2, along an axis) odometry has wandered until there.
+            wander: (2, 2) of all frames: variance (rad^2, m^2, along an axis) by which odometry has wandered until
+                there, and until the frame that its motion starts from.
             has: Whether the graph has a variable.
         """
         ready = []
@@ -114,6 +115,7 @@ class Newcomers:
         candidate.position = point
         there = np.array([pose.transformTo(point) for pose in seen_from])
         error = self._camera.project(there) - pixels
-        turned, moved = wander[candidate.views[-1].frame] - wander[candidate.views[0].frame]
+        begin, end = wander[candidate.views[0].frame], wander[candidate.views[-1].frame]
+        turned, moved = end[0] + begin[0] - 2 * begin[1]  # both are known from where the first one's motion starts
         variance = self._settings.pixel_sigma**2 + self._camera.fx**2 * (turned + moved / there[:, 2] ** 2)
         return bool((there[:, 2] > NEAREST).all() and ((error**2).sum(axis=1) < GATE * variance).all())

@@ -16,13 +16,13 @@ TURNED = gtsam.Pose3(gtsam.Rot3.Rodrigues(0.0, 0.01, 0.0), TRUE[3].translation()
 SHIFTED = gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.05, 0.0]))  # 3.7 pixels
 
 
-def handed_out(last: gtsam.Pose3, wander: np.ndarray) -> int:
+def handed_out(last: gtsam.Pose3, wander: list[np.ndarray]) -> int:
     """How many landmarks enter at the last of four frames, where odometry has the camera there."""
     newcomers, poses = Newcomers(CAMERA, GraphSettings(min_views=4)), [*TRUE[:3], last]
     for index, true in enumerate(TRUE):
         there = true.transformTo(POINT)[None]
         views = Views(np.array([7]), CAMERA.project(there), there, 0.01 * np.eye(3)[None])
-        ready = newcomers.ready(index, views, np.zeros(1, bool), poses, [np.zeros(2)] * 3 + [wander], lambda _: True)
+        ready = newcomers.ready(index, views, np.zeros(1, bool), poses, wander, lambda _: True)
     return len(ready)
 
 
@@ -38,4 +38,11 @@ def handed_out(last: gtsam.Pose3, wander: np.ndarray) -> int:
 )
 def test_views_agree_as_well_as_odometry_knows_them_to_each_other(last, wander, enters):
     """Else, where odometry has failed, no landmark would enter that could tell where the camera went."""
-    assert handed_out(last, np.array(wander)) == enters
+    exact = np.zeros((2, 2))
+    assert handed_out(last, [exact, exact, exact, np.array([wander, [0, 0]])]) == enters
+
+
+def test_motions_from_one_frame():
+    """Each errs on its own, so that they do not know each other's frames better than that."""
+    from_one = np.array([[5e-5, 0], [0, 0]])
+    assert handed_out(TURNED, [from_one] * 4)
