@@ -99,7 +99,10 @@ class Graph:
             if self.settings.lag is not None and stamp - self._stamps[previous] > self.settings.lag:
                 # What odometry refers to is no longer kept: a camera that stands still has an old reference.
                 previous = index - 1
-                motion = GaussianPose(self._poses[previous].between(self._poses[index]), motion.covariance)
+                since = self._poses[previous].between(self._poses[index])
+                # Of rotations, each made of the one before and of itself, rounding errors would double with each frame.
+                since = gtsam.Pose3(gtsam.Rot3.ClosestTo(since.rotation().matrix()), since.translation())
+                motion = GaussianPose(since, motion.covariance)
                 scale, scale_variance = None, 0.0
             own = motion.with_scale_variance(-scale_variance)  # a scale in common displaces no landmark
             start = self._wander[previous][0]

@@ -147,7 +147,8 @@ class Solver:
                 self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), again)
         else:
             self._solver.update(factors, values, stamps)
-        self._solver.calculateEstimatePose3(next(key for key in stamps if is_pose(key)))  # throws, too, if at all
+        newest = max(filter(is_pose, stamps), key=stamps.__getitem__)  # older ones may be beyond the lag
+        self._solver.calculateEstimatePose3(newest)  # throws, too, if at all
 
     def _repair(self, error: RuntimeError, by_priors: bool = True) -> None:
         """A solver that has thrown is not sound: begin a new one with all factors, until it does not throw."""

@@ -80,15 +80,28 @@ def test_a_fixed_lag_keeps_what_it_needs(fed):
         assert a.mean.equals(b.mean, 0.02)
 
 
+def test_a_lag_that_is_shorter_than_an_interval(fed):
+    """As after a gap in a recording: what was fused before is left behind, odometry goes on."""
+    made = fed(frames=31, seed=3, lag=0.15)
+    assert [motion for _, _, motion in made.motions] == [None] * len(made.motions)
+    assert len(made.graph.smoothed()) == 31
+    assert 0.01 < made.error() < 0.3  # metres; measured 0.12
+
+
 def test_standing_still_for_longer_than_the_lag():
     """Odometry refers to the frame where the camera came to rest, for as long as it rests."""
     camera = Camera(640, 480, 450.0, 450.0, 319.5, 239.5)
     graph = Graph(camera, GraphSettings(lag=2.0))
-    for index in range(61):
-        graph.add_odometry(0.1 * index, 0, GaussianPose(gtsam.Pose3(), 1e-6 * np.eye(6)))
+    turned = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, 0.2, 0.3), np.zeros(3))
+    for index in range(161):
+        graph.add_odometry(0.1 * index, 0, GaussianPose(turned if index else gtsam.Pose3(), 1e-6 * np.eye(6)))
         if index and index % 5 == 0:
             graph.fuse(None)
-    assert np.abs(graph.smoothed().positions).max() < 1e-6
+    smoothed = graph.smoothed()
+    assert np.abs(smoothed.positions).max() < 1e-6
+    assert smoothed.poses[-1].equals(turned, 1e-3)
+    matrix = smoothed.poses[-1].rotation().matrix()
+    assert matrix @ matrix.T == pytest.approx(np.eye(3), abs=1e-9)
 
 
 def test_a_variable_that_is_not_determined_is_named_and_held(caplog):
