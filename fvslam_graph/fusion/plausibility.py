@@ -22,6 +22,7 @@ class Plausibility:
     def __init__(self) -> None:
         self._velocity: NDArray[np.float64] | None = None  # (6,) rad/s, m/s
         self._agreed = False
+        self._age = 0.0  # seconds from the middle of the motion that it was measured over to the newest frame
         self._failures = 0
 
     def checked(self, prev_T_cur: GaussianPose, seconds: float) -> GaussianPose:
@@ -30,13 +31,13 @@ class Plausibility:
             return prev_T_cur
         if self._velocity is not None:
             predicted = gtsam.Pose3.Expmap(self._velocity * seconds)
-            old = (self._failures + 1) * seconds  # the velocity
-            covariance = np.diag((ACCELERATION * old * seconds) ** 2)
+            covariance = np.diag((ACCELERATION * (self._age + seconds / 2) * seconds) ** 2)
+            self._age += seconds
             error = gtsam.Pose3.Logmap(predicted.between(prev_T_cur.mean))
             plausible = error @ np.linalg.solve(covariance + prev_T_cur.covariance, error) < GATE
             self._failures = 0 if plausible else self._failures + 1
             if self._agreed and 0 < self._failures <= PATIENCE:
                 return GaussianPose(predicted, covariance)
             self._agreed = bool(plausible)
-        self._velocity = gtsam.Pose3.Logmap(prev_T_cur.mean) / seconds
+        self._velocity, self._age = gtsam.Pose3.Logmap(prev_T_cur.mean) / seconds, seconds / 2
         return prev_T_cur

@@ -42,6 +42,15 @@ def test_an_old_velocity_says_less():
     assert spread == pytest.approx([0.03, 0.06, 0.09])
 
 
+def test_a_velocity_over_a_gap_says_less():
+    """The mean over ten seconds in which a car stopped and started again is not how fast it is now."""
+    check = Plausibility()
+    for seconds in (0.1, 0.1, 0.1, 10.0):
+        check.checked(sure(FORWARD), seconds)
+    motion = sure(FORWARD)
+    assert check.checked(motion, 0.1) is motion
+
+
 def test_a_jump_that_stays_is_a_new_velocity():
     check = Plausibility()
     for _ in range(3):
