@@ -159,6 +159,7 @@ class Graph:
         """All poses, by all measurements; those that a fixed lag has left behind, as they were when they left."""
         if self._factors.size():
             self._solve()
+        self.solver.settle()
         estimate = self.solver.values()
         for key in estimate.keys():  # noqa: SIM118
             if is_pose(key):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
 from fvslam_graph.fusion.factors import is_landmark, is_pose
+from fvslam_graph.fusion.sightings import Sightings
 
 _log = logging.getLogger(__name__)
 
@@ -22,6 +23,7 @@ HELD = 1e-3  # rad and m: the oldest pose within a lag, where what was before is
 TURNED = 1e-3  # rad; a pose that turns by more is linearised again
 NEVER = 10**9  # updates
 GROWTH = 0.1  # by what share the number of updates grows until what has moved is linearised again
+UNSEEN = 10  # updates after which a landmark that was not seen again is summed up
 ATTEMPTS = 20  # repairs of one update
 _NAMED = re.compile(r"variable\s+(\d+)")
 
@@ -42,7 +44,7 @@ class Solver:
         self._stamps: dict[int, float] = {}  # when each variable was seen last
         self._updates = 0
         self._relinearised = 0  # number of the update that linearised again what had moved
-        self._solver = self._empty()
+        self._begin()
 
     def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
         """Take in new factors, first values of new variables, and the time (s) of all variables seen now.
@@ -65,9 +67,22 @@ class Solver:
         except RuntimeError as error:
             self._repair(error)
 
+    def settle(self) -> None:
+        """Go to the maximum of all factors that are kept, with no landmark summed up."""
+        if self._settings.lag is not None:
+            return
+        optimum = gtsam.LevenbergMarquardtOptimizer(self.factors(), self.values()).optimize()
+        self._begin()
+        try:
+            self._take(self.factors(), optimum)
+        except RuntimeError as error:
+            self._repair(error)
+
     def values(self) -> gtsam.Values:
-        """The estimate of all variables."""
-        return self._solver.calculateEstimate()
+        """The estimate of all variables, with landmarks that were summed up."""
+        values = self._solver.calculateEstimate()
+        self._sightings.insert_summed_up(values)
+        return values
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
         """All factors that are kept."""
@@ -90,7 +105,7 @@ class Solver:
         return point
 
     def has(self, key: int) -> bool:
-        """Whether the variable is in the graph, and not beyond the lag."""
+        """Whether the variable can be in new factors: it is known, not beyond the lag, and not summed up."""
         return bool(self._isam.valueExists(key))
 
     def covariance(self, key: int) -> NDArray[np.float64]:
@@ -116,6 +131,10 @@ class Solver:
     def _isam(self) -> gtsam.ISAM2:
         return self._solver if self._settings.lag is None else self._solver.getISAM2()
 
+    def _begin(self) -> None:
+        self._solver = self._empty()
+        self._sightings = Sightings()
+
     def _empty(self) -> gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother:
         parameters = gtsam.ISAM2Params()
         thresholds = gtsam.ISAM2ThresholdMap()
@@ -136,7 +155,9 @@ class Solver:
     def _advance(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
         if self._settings.lag is None:
             self._updates += 1
-            self._solver.update(factors, values)
+            self._take(factors, values)
+            if self._updates % UNSEEN == 0:
+                self._sum_up()
             if self._updates - self._relinearised >= GROWTH * self._updates:
                 self._relinearised = self._updates
                 again = gtsam.ISAM2UpdateParams()
@@ -150,9 +171,32 @@ class Solver:
         newest = max(filter(is_pose, stamps), key=stamps.__getitem__)  # older ones may be beyond the lag
         self._solver.calculateEstimatePose3(newest)  # throws, too, if at all
 
+    def _take(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        self._sightings.add(factors, self._solver.update(factors, values).getNewFactorsIndices())
+
+    def _sum_up(self) -> None:
+        """Sum up landmarks that were not seen for a while, those that were seen last at the same time together.
+
+        There are several times more landmarks than poses, and a new scale moves them all.
+        """
+        if len(self._factors) <= UNSEEN:
+            return
+        since = self._factors[-1 - UNSEEN][0]
+        unseen: dict[float, list[int]] = {}
+        for landmark in self._sightings:
+            if self._stamps[landmark] <= since:
+                unseen.setdefault(self._stamps[landmark], []).append(landmark)
+        added, removed = gtsam.NonlinearFactorGraph(), []
+        for landmarks in unseen.values():
+            factor, slots = self._sightings.sum_up(landmarks, self)
+            added.add(factor)
+            removed += slots
+        self._solver.update(added, gtsam.Values(), removed)
+
     def _repair(self, error: RuntimeError, by_priors: bool = True) -> None:
         """A solver that has thrown is not sound: begin a new one with all factors, until it does not throw."""
         values = gtsam.Values(self._isam.getLinearizationPoint())
+        self._sightings.insert_summed_up(values)
         for key in set(values.keys()) - set(self._stamps):
             values.erase(key)
         if self._settings.lag is not None:
@@ -169,7 +213,7 @@ class Solver:
                 self._add(_prior(key, values, WEAK))
             elif not self._drop_newest_landmarks(values):
                 break
-            self._solver = self._empty()
+            self._begin()
             try:
                 self._advance(self.factors(), values, {key: self._stamps[key] for key in values.keys()})  # noqa: SIM118
             except RuntimeError as again:

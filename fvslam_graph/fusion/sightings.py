@@ -1,0 +1,61 @@
+"""Which factors a landmark has, and landmarks that are out of sight summed up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.fusion.factors import is_landmark, is_pose
+from fvslam_graph.fusion.summary import Summary
+
+
+class Estimate(Protocol):
+    """Where poses and landmarks are."""
+
+    def pose(self, key: int) -> gtsam.Pose3:
+        """world_T_camera."""
+
+    def point(self, key: int) -> NDArray[np.float64]:
+        """In the world, (3,), metres."""
+
+
+class Sightings:
+    """Factors of landmarks in iSAM2, by the slots they have in it, and summaries of those no longer in it."""
+
+    def __init__(self) -> None:
+        self._of: dict[int, list[tuple[int, gtsam.NonlinearFactor]]] = {}
+        self._summaries: list[Summary] = []
+
+    def __iter__(self) -> Iterator[int]:
+        """Landmarks that are not summed up."""
+        return iter(self._of)
+
+    def add(self, factors: gtsam.NonlinearFactorGraph, slots: list[int]) -> None:
+        """Factors that were taken in, in this order, in these slots."""
+        for n, slot in enumerate(slots):
+            factor = factors.at(n)
+            for landmark in filter(is_landmark, factor.keys()):
+                self._of.setdefault(landmark, []).append((slot, factor))
+
+    def sum_up(self, landmarks: list[int], estimate: Estimate) -> tuple[gtsam.NonlinearFactor, list[int]]:
+        """One factor in place of all factors of some landmarks, and the slots of these."""
+        factors, values, slots = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+        for landmark in landmarks:
+            values.insert(landmark, estimate.point(landmark))
+            for slot, factor in self._of.pop(landmark):
+                slots.append(slot)
+                factors.add(factor)
+                for pose in filter(is_pose, factor.keys()):
+                    if not values.exists(pose):
+                        values.insert(pose, estimate.pose(pose))
+        self._summaries.append(Summary(factors, landmarks, values))
+        return self._summaries[-1].factor, slots
+
+    def insert_summed_up(self, values: gtsam.Values) -> None:
+        """Add landmarks that were summed up to values of the poses."""
+        for summary in self._summaries:
+            summary.insert_landmarks(values)

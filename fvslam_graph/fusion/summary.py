@@ -1,0 +1,38 @@
+"""What landmarks that are out of sight said of the poses that saw them, in one factor."""
+
+from __future__ import annotations
+
+import gtsam
+
+
+class Summary:
+    """Factors about poses and landmarks, from which the landmarks are eliminated.
+
+    What is left is linear in what the poses have moved since. What moves a path most, a shift and a change of its
+    scale, leaves what pixels say of it alone, so that little is lost.
+
+    Args:
+        factors: All that are about these landmarks.
+        landmarks: Their keys.
+        estimate: Of the poses and landmarks, where factors are linearised and told from outliers.
+
+    Attributes:
+        factor: About the poses alone.
+    """
+
+    def __init__(self, factors: gtsam.NonlinearFactorGraph, landmarks: list[int], estimate: gtsam.Values) -> None:
+        ordering = gtsam.Ordering()
+        for landmark in landmarks:
+            ordering.push_back(landmark)
+        self._estimate, self._landmarks = estimate, landmarks
+        self._by_poses, about_poses = gtsam.EliminateQR(factors.linearize(estimate), ordering)
+        self.factor = gtsam.LinearContainerFactor(about_poses, estimate)
+
+    def insert_landmarks(self, values: gtsam.Values) -> None:
+        """Add the landmarks to values of the poses, where they are most likely for these."""
+        moved = gtsam.VectorValues()
+        for pose in self.factor.keys():  # noqa: SIM118
+            moved.insert(pose, self._estimate.atPose3(pose).localCoordinates(values.atPose3(pose)))
+        found = self._estimate.retract(self._by_poses.solve(moved))
+        for landmark in self._landmarks:
+            values.insert(landmark, found.atPoint3(landmark))

@@ -1,0 +1,137 @@
+"""Landmarks summed up in one factor, against the factors themselves."""
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import pytest
+
+from fvslam_graph.config import GraphSettings
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.fusion.factors import LandmarkFactors, landmark_key, motion_factor, pose_factor, pose_key
+from fvslam_graph.fusion.solver import UNSEEN
+from fvslam_graph.fusion.summary import Summary
+from fvslam_graph.sequences.points import simulate_drive
+
+from .conftest import MOTION
+
+FRAMES = range(0, 10, 2)
+PIXEL = 0.3
+
+
+@dataclass
+class Small:
+    """A few poses that see the same landmarks.
+
+    Attributes:
+        motions, sightings: Factors.
+        landmarks: Keys.
+        estimate: The optimum of all factors.
+    """
+
+    motions: gtsam.NonlinearFactorGraph
+    sightings: gtsam.NonlinearFactorGraph
+    landmarks: list[int]
+    estimate: gtsam.Values
+
+    def whole(self) -> gtsam.NonlinearFactorGraph:
+        return _graph(self.motions, self.sightings)
+
+    def poses(self) -> gtsam.Values:
+        poses = gtsam.Values()
+        for frame in FRAMES:
+            poses.insert(pose_key(frame), self.estimate.atPose3(pose_key(frame)))
+        return poses
+
+
+def _graph(*parts: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
+    whole = gtsam.NonlinearFactorGraph()
+    for part in parts:
+        whole.push_back(part)
+    return whole
+
+
+@pytest.fixture(scope="module")
+def small() -> Small:
+    scene, rng = simulate_drive(frames=10, seed=2, noise=PIXEL, landmarks=1500), np.random.default_rng(2)
+    settings = GraphSettings(shared_noise=0.0)
+    motions, sightings, values = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    poses = scene.trajectory.poses
+    motions.add(pose_factor(0, GaussianPose.identity()))
+    for frame in FRAMES:
+        values.insert(pose_key(frame), poses[frame])
+        if frame:
+            motion = poses[frame - 2].between(poses[frame]).retract(MOTION * rng.standard_normal(6))
+            motions.add(motion_factor(frame - 2, frame, GaussianPose(motion, np.diag(MOTION**2)), settings))
+    seen = [scene.observe(frame) for frame in FRAMES]
+    shared = sorted(set.intersection(*(set(frame.ids.tolist()) for frame in seen)))[:30]
+    factors = LandmarkFactors(scene.camera, settings)
+    for landmark in shared:
+        values.insert(landmark_key(landmark), poses[0].transformFrom(scene.in_camera(0)[landmark]))
+        for frame, observed in zip(FRAMES, seen, strict=True):
+            pixel = observed.pixels[np.searchsorted(observed.ids, landmark)]
+            sightings.add(factors.projection(frame, landmark, pixel, PIXEL, len(shared)))
+    optimum = gtsam.LevenbergMarquardtOptimizer(_graph(motions, sightings), values).optimize()
+    return Small(motions, sightings, [landmark_key(landmark) for landmark in shared], optimum)
+
+
+def test_says_the_same_of_the_poses(small):
+    summary = Summary(small.sightings, small.landmarks, small.estimate)
+    short = small.motions.clone()
+    short.add(summary.factor)
+    whole = gtsam.Marginals(small.whole(), small.estimate)
+    summed_up = gtsam.Marginals(short, small.poses())
+    without = gtsam.Marginals(small.motions, small.poses())
+    for frame in FRAMES:
+        covariance = whole.marginalCovariance(pose_key(frame))
+        assert summed_up.marginalCovariance(pose_key(frame)) == pytest.approx(covariance, rel=1e-6, abs=1e-15)
+    last = pose_key(FRAMES[-1])
+    assert np.trace(whole.marginalCovariance(last)) < 0.8 * np.trace(without.marginalCovariance(last))
+
+
+def test_poses_and_landmarks_are_those_of_the_whole(small):
+    """Made of an estimate that is off by more than landmarks tell, and solved for the poses alone."""
+    rng, off = np.random.default_rng(5), gtsam.Values(small.estimate)
+    for frame in FRAMES[1:]:
+        off.update(pose_key(frame), off.atPose3(pose_key(frame)).retract(0.5 * MOTION * rng.standard_normal(6)))
+    summary = Summary(small.sightings, small.landmarks, off)
+    short = small.motions.clone()
+    short.add(summary.factor)
+    found = gtsam.LevenbergMarquardtOptimizer(short, small.poses()).optimize()
+    summary.insert_landmarks(found)
+    for frame in FRAMES:
+        assert found.atPose3(pose_key(frame)).equals(small.estimate.atPose3(pose_key(frame)), 2e-3)
+    whole = small.whole()
+    assert whole.error(small.estimate) <= whole.error(found) < 1.02 * whole.error(small.estimate)
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1.3, 0.0), (1.0, 20.0), (0.8, 5.0)])
+def test_a_shift_and_a_change_of_scale_leave_it_alone(small, scale, shift):
+    summary = Summary(small.sightings, small.landmarks, small.estimate)
+    moved, poses = gtsam.Values(), small.poses()
+    for frame in FRAMES:
+        pose = poses.atPose3(pose_key(frame))
+        moved.insert(pose_key(frame), gtsam.Pose3(pose.rotation(), scale * pose.translation() + shift))
+    assert summary.factor.error(moved) == pytest.approx(summary.factor.error(poses), rel=1e-6)
+    summary.insert_landmarks(moved)
+    assert small.sightings.error(moved) == pytest.approx(small.sightings.error(small.estimate), rel=1e-6)
+
+
+def test_the_solver_sums_up_what_is_out_of_sight(fed):
+    """Beside the batch optimum: the landmarks that are gone are where it has them, and so are the poses."""
+    made = fed(frames=121, seed=1)
+    solver, rms = made.graph.solver, []
+    online, factors = solver.values(), solver.factors()
+    landmarks = [key for key in online.keys() if gtsam.Symbol(key).chr() == ord("l")]  # noqa: SIM118
+    kept = [key for key in landmarks if solver.has(key)]
+    assert 2 * UNSEEN < len(kept) < 0.4 * len(landmarks)  # measured 46 of 196
+    solver.settle()
+    optimum = solver.values()
+    batch = gtsam.LevenbergMarquardtOptimizer(factors, online).optimize()
+    assert factors.error(optimum) == pytest.approx(factors.error(batch), rel=1e-5)
+    assert factors.error(online) < 1.01 * factors.error(batch)  # measured 1.004
+    for values in (online, batch):
+        positions = np.array([values.atPose3(pose_key(index)).translation() for index in range(121)])
+        rms.append(np.sqrt(((positions - made.scene.trajectory.positions) ** 2).sum(axis=1).mean()))
+    assert rms[0] < 1.1 * rms[1]  # measured 0.1298 and 0.1281 m
+    assert all(solver.has(key) for key in landmarks)
