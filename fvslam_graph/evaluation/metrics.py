@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import Association, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
@@ -33,6 +35,7 @@ class Evaluation:
         frames: How many images there were; None where that is not known.
         scale: Factor that brings the estimate to the size of the reference (Umeyama), whatever the alignment; NaN where
             the motion does not determine it.
+        ape_scaled: RMSE of the positions after alignment with that factor, metres: what the shape alone errs.
         errors: evo's results, see `evaluate`; their statistics are in metres and degrees.
         drift: Of the estimate as it is.
         drift_scaled: After multiplication by `scale`.
@@ -48,6 +51,7 @@ class Evaluation:
     poses: int
     frames: int | None
     scale: float
+    ape_scaled: float
     errors: dict[str, Result]
     drift: Drift
     drift_scaled: Drift
@@ -71,6 +75,7 @@ class Evaluation:
             "matched": len(self.association.indices),
             "coverage": self.coverage,
             "scale": self.scale,
+            "ape_scaled": self.ape_scaled,
             "path_length": self.association.reference.path_length,
             **{name: result.stats for name, result in self.errors.items()},
             "ape_smoothed": self.smoothed,
@@ -125,11 +130,10 @@ def evaluate(
     """
     association = associate(estimate, reference)
     notes = []
-    scale = _scale(association)
-    if scale is None and align in (Alignment.SE3, Alignment.SIM3):
+    scale, ape_scaled = _by_similarity(association)
+    if math.isnan(scale) and align in (Alignment.SE3, Alignment.SIM3):
         notes.append(f"the motion does not determine an alignment by {align}: aligned at the origin")
         align = Alignment.ORIGIN
-    scale = float("nan") if scale is None else scale
 
     errors = _errors(association, align, name)
     if "rpe_1m_trans" not in errors:
@@ -154,6 +158,7 @@ def evaluate(
         poses=len(estimate),
         frames=frames,
         scale=scale,
+        ape_scaled=ape_scaled,
         errors=errors,
         drift=drift(matrices, association.reference.matrices),
         drift_scaled=drift(scaled, association.reference.matrices),
@@ -162,17 +167,17 @@ def evaluate(
     )
 
 
-def _scale(association: Association) -> float | None:
-    """Umeyama's scale factor; None for degenerate motions."""
+def _by_similarity(association: Association) -> tuple[float, float]:
+    """Umeyama's scale factor, and the RMSE of the positions (m) that is left; NaN for degenerate motions."""
     from evo.core.geometry import GeometryException, umeyama_alignment
 
+    estimate, reference = association.estimate.positions, association.reference.positions
     try:
-        _, _, scale = umeyama_alignment(
-            association.estimate.positions.T, association.reference.positions.T, with_scale=True
-        )
+        rotation, translation, scale = umeyama_alignment(estimate.T, reference.T, with_scale=True)
     except GeometryException:
-        return None
-    return float(scale)
+        return math.nan, math.nan
+    off = scale * estimate @ rotation.T + translation - reference
+    return float(scale), float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
 def _errors(association: Association, align: Alignment, name: str) -> dict[str, Result]:

@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from fvslam_graph.evaluation.metrics import Evaluation
 
 CAPTION = (
-    "Online trajectories, but for the APE of the smoothed one. APE and RPE: RMSE, RPE from frame to frame. t_rel and "
-    "r_rel: 100-800 m, no scale correction. ms/frame: median without reading images."
+    "Online trajectories, but for the APE of the smoothed one. APE and RPE: RMSE, RPE from frame to frame; Sim(3): in "
+    "the scale of the reference, whatever `align`. t_rel and r_rel: 100-800 m, no scale correction. ms/frame: median "
+    "without reading images."
 )
 NUMBERS = 4  # the first columns are text, the others numbers
 COLUMNS = (
     *("run", "mode", "scale", "status"),
-    *("coverage", "tracked", "align", "APE (m)", "smoothed (m)", "RPE (m)"),
+    *("coverage", "tracked", "align", "APE (m)", "smoothed (m)", "Sim(3) APE (m)", "RPE (m)"),
     *("t_rel (%)", "r_rel (deg/100 m)"),
     *("NEES (95 % band)", "ms/frame", "peak MB"),
 )
@@ -54,6 +55,8 @@ def summary_table(evaluation: Evaluation) -> RichTable:
         table.add_row("coverage", f"{100 * evaluation.coverage:.1f} % of {evaluation.frames} frames")
     table.add_row("association", f"{len(association.indices)} of {evaluation.poses} poses {how}")
     table.add_row("alignment", f"{evaluation.alignment} (scale to the reference {evaluation.scale:.4f})")
+    if not np.isnan(evaluation.ape_scaled):
+        table.add_row("Sim(3)", f"ape_trans RMSE {evaluation.ape_scaled:.4g} m, in the scale of the reference")
     for name, result in evaluation.errors.items():
         unit = "deg" if name.endswith("rot") else "m"
         stats = {key: f"{result.stats[key]:.4g}" for key in ("rmse", "median", "max")}
@@ -87,6 +90,7 @@ def _row(folder: Path, run: Run) -> list[str]:
         metrics.get("alignment", "-"),
         _cell(_pick(metrics, "ape_trans", "rmse"), ".3f"),
         _cell(metrics.get("ape_smoothed"), ".3f"),
+        _cell(metrics.get("ape_scaled"), ".3f"),
         _cell(_pick(metrics, "rpe_trans", "rmse"), ".4f"),
         _cell(_pick(metrics, "drift", "t_rel"), ".2f"),
         _cell(_pick(metrics, "drift", "r_rel"), ".3f"),

@@ -47,6 +47,10 @@ def test_evo_ape_finds_the_same_numbers(tmp_path: Path, make_run: MakeRun, offse
     theirs = load_res_file(tmp_path / "ape.zip").stats
     assert 0.05 < theirs["rmse"] < 1
     assert metrics["ape_trans"] == pytest.approx(theirs, rel=1e-9)
+    assert metrics["ape_scaled"] == pytest.approx(theirs["rmse"], rel=1e-9)
+    evaluation = evaluate_run(folder, tmp_path / "reference.txt", Alignment.SE3)
+    assert evaluation.ape_scaled == pytest.approx(theirs["rmse"], rel=1e-9)
+    assert evaluation.errors["ape_trans"].stats["rmse"] > 2 * theirs["rmse"]
     if not offset:  # then the file of the reference itself is as good
         evo(tmp_path, "evo_ape", "tum", tmp_path / "reference.txt", *files[2:], "--save_results", tmp_path / "same.zip")
         assert load_res_file(tmp_path / "same.zip").stats == pytest.approx(theirs, rel=1e-9)
