@@ -1,6 +1,7 @@
 """How long an estimator takes on a sequence: milliseconds per frame by stage, frames per second, peak memory.
 
-The first frames warm caches up and are left out. Times of several repetitions are pooled.
+The first frames warm caches up and are left out. Times of several repetitions are pooled. Means over the quarters of
+the sequence, Q1 to Q4, tell whether a stage takes longer the longer the path.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.opening import open_sequence
 
 WARM_UP = 5  # frames
-STATISTICS = ("median", "mean", "p95")
+STATISTICS = ("median", "mean", "p95", "Q1", "Q2", "Q3", "Q4")
 TOTALS = ("without reading", "with reading")
 
 
@@ -44,7 +45,7 @@ def benchmark(
     if len(sequence) <= WARM_UP:
         raise FvslamError(f"{sequence.name} has {len(sequence)} frames, but the first {WARM_UP} only warm up")
     config = applicable(load_config(preset, settings=settings or []), sequence)
-    rows = summarise(stages(config), np.concatenate([measure(sequence, config) for _ in range(repeat)]))
+    rows = summarise(stages(config), np.stack([measure(sequence, config) for _ in range(repeat)], axis=1))
 
     camera = sequence.camera
     table = Table(
@@ -77,12 +78,22 @@ def measure(sequence: Sequence, config: Config) -> NDArray[np.float64]:
 
 
 def summarise(names: tuple[str, ...], times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Median, mean and 95th percentile by stage, of what is in no stage, and of frames without and with reading."""
-    *parts, total = times.T
+    """Statistics by stage, of what is in no stage, and of frames without and with reading.
+
+    Args:
+        names: Of the stages.
+        times: (frames, repetitions, stages + 1), see `measure`.
+    """
+    *parts, total = np.moveaxis(times, -1, 0)
     columns = dict(zip(names, parts, strict=True))
     columns |= {"other": total - sum(parts), TOTALS[0]: total - columns["read"], TOTALS[1]: total}
     return {
-        stage: np.array([np.median(column), column.mean(), np.percentile(column, 95)])
+        stage: np.array(
+            [
+                *(np.median(column), column.mean(), np.percentile(column, 95)),
+                *(quarter.mean() for quarter in np.array_split(column, 4)),
+            ]
+        )
         for stage, column in columns.items()
     }
 
