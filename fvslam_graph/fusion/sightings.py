@@ -38,7 +38,7 @@ class Sightings:
         """Factors that were taken in, in this order, in these slots."""
         for n, slot in enumerate(slots):
             factor = factors.at(n)
-            for landmark in filter(is_landmark, factor.keys()):
+            for landmark in filter(is_landmark, factor.keys() if factor is not None else ()):  # None: it was removed
                 self._of.setdefault(landmark, []).append((slot, factor))
 
     def sum_up(self, landmarks: list[int], estimate: Estimate) -> tuple[gtsam.NonlinearFactor, list[int]]:

@@ -20,7 +20,7 @@ SEEDS = range(5)
 @pytest.mark.parametrize("odometry", ["between", "essential"])
 @pytest.mark.parametrize("landmarks", ["projection", "bearing_range", "smart", "none"])
 def test_without_noise_without_error(fed, odometry, landmarks):
-    made = fed(frames=21, noise=0.0, odometry=odometry, landmarks=landmarks)
+    made = fed(frames=51, noise=0.0, odometry=odometry, landmarks=landmarks)  # long enough to sum landmarks up
     assert made.error() < 1e-6
     for first, second, motion in made.motions:
         assert np.abs(error_of(made.scene, first, second, motion.mean)).max() < 1e-6
@@ -125,6 +125,38 @@ def test_a_variable_that_is_not_determined_is_named_and_held(caplog):
     assert solver.repaired == ["l7"]
     assert "l7 is not determined" in caplog.text
     assert solver.point(landmark_key(7)) == pytest.approx([0, 0, 5])
+
+
+def test_a_landmark_that_no_prior_helps_is_dropped(caplog):
+    """As by a pixel that is not a number; what was known before stays, and all can be solved again."""
+    solver, calibration = Solver(GraphSettings()), gtsam.Cal3_S2(450, 450, 0, 320, 240)
+    poses = [gtsam.Pose3(gtsam.Rot3(), np.array([0.5 * index, 0.0, 0.0])) for index in range(3)]
+    first, near = gtsam.noiseModel.Isotropic.Sigma(6, 0.1), gtsam.noiseModel.Isotropic.Sigma(2, 1.0)
+
+    def see(factors, index, landmark, pixel):
+        keys = pose_key(index), landmark_key(landmark)
+        factors.add(gtsam.GenericProjectionFactorCal3_S2(np.array(pixel), near, *keys, calibration))
+
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(gtsam.PriorFactorPose3(pose_key(0), poses[0], first))
+    factors.add(gtsam.BetweenFactorPose3(pose_key(0), pose_key(1), poses[0].between(poses[1]), first))
+    see(factors, 0, 7, [320.0, 240.0])
+    see(factors, 1, 7, [275.0, 240.0])
+    for index in (0, 1):
+        values.insert(pose_key(index), poses[index])
+    values.insert(landmark_key(7), np.array([0.0, 0.0, 5.0]))
+    solver.update(factors, values, {pose_key(0): 0.0, pose_key(1): 0.1, landmark_key(7): 0.1})
+
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(gtsam.BetweenFactorPose3(pose_key(1), pose_key(2), poses[1].between(poses[2]), first))
+    see(factors, 2, 8, [np.nan, 240.0])
+    values.insert(pose_key(2), poses[2])
+    values.insert(landmark_key(8), np.array([1.0, 0.0, 6.0]))
+    solver.update(factors, values, {pose_key(2): 0.2, landmark_key(8): 0.2})
+    assert "without the 1 landmarks" in caplog.text
+    assert solver.has(landmark_key(7)) and not solver.has(landmark_key(8))
+    solver.settle()
+    assert solver.pose(pose_key(2)).equals(poses[2], 1e-3)
 
 
 def test_written_and_read_back(fed, tmp_path):
