@@ -71,9 +71,9 @@ class Solver:
         """Go to the maximum of all factors that are kept, with no landmark summed up."""
         if self._settings.lag is not None:
             return
-        optimum = gtsam.LevenbergMarquardtOptimizer(self.factors(), self.values()).optimize()
-        self._begin()
         try:
+            optimum = gtsam.LevenbergMarquardtOptimizer(self.factors(), self.values()).optimize()
+            self._begin()
             self._take(self.factors(), optimum)
         except RuntimeError as error:
             self._repair(error)
