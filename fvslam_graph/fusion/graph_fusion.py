@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +40,9 @@ class GraphFusion(Fusion):
         # P_f, what the motion to P_f erred about is not counted: the next motion does without it.
         self._poses: dict[int, GaussianPose] = {}
         self._published: dict[int, Array] = {}  # where P_f was, at each interleaved frame
+        # Of the steps by which P_f corrected the path: what online poses have not taken up yet (m, in the world), and
+        # which share of it is left a frame later.
+        self._step, self._left = np.zeros(3), 0.0
 
     def add_odometry(
         self, frame: Frame, previous: int, prev_T_cur: GaussianPose, scale: ScaleStep | None, scale_variance: float
@@ -45,6 +50,7 @@ class GraphFusion(Fusion):
         """The motion of a frame, and the height above level ground, if this is asked for."""
         super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance)
         self._newest = frame.index
+        self._step = self._left * self._step
         motion = self.graph.add_odometry(frame.stamp, previous, prev_T_cur, scale, scale_variance)
         start = self._poses.get(previous)
         if start is None:  # beyond the lag, or the first frame
@@ -56,8 +62,11 @@ class GraphFusion(Fusion):
 
     @property
     def pose(self) -> GaussianPose:
-        """world_T_camera of the newest frame: carried on by odometry from the frame that its motion starts from."""
-        return self._poses[self._newest]
+        """world_T_camera of the newest frame: carried on by odometry from the frame that its motion starts from.
+
+        What the graph corrects at once, the online path takes up over about an interval, so that it does not jump.
+        """
+        return _moved(self._poses[self._newest], self._step)
 
     def start(self, pose: GaussianPose, views: Views) -> None:
         """Landmarks begin at the newest frame."""
@@ -68,12 +77,16 @@ class GraphFusion(Fusion):
     def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
         before = next(reversed(self._published))
         fused = self.graph.fuse(views)
+        expected = self._poses[self._newest].mean.translation()
         away = np.zeros(3)
         if self._settings.online == "steady":
             # What lies behind the last P_f in the scale in which it was published, the motion since in that of now.
             away = (self._published_scale() - 1) * self.graph.positions([before])[0]
         self._poses = {frame: _moved(self.graph.pose(frame), away) for frame in self._poses if self.graph.has(frame)}
-        self.reference = self.pose
+        self.reference = self._poses[self._newest]
+        if self._settings.online == "steady":
+            self._left = math.exp(-1 / (self._newest - before))
+            self._step = self._step + self._left * (expected - self.reference.mean.translation())
         self._published[self._newest] = self.reference.mean.translation()
         return self.motion if fused is None else fused
 

@@ -41,19 +41,36 @@ class Sightings:
             for landmark in filter(is_landmark, factor.keys() if factor is not None else ()):  # None: it was removed
                 self._of.setdefault(landmark, []).append((slot, factor))
 
-    def sum_up(self, landmarks: list[int], estimate: Estimate) -> tuple[gtsam.NonlinearFactor, list[int]]:
-        """One factor in place of all factors of some landmarks, and the slots of these."""
-        factors, values, slots = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+    def seen_from(self, landmark: int) -> int:
+        """The pose that saw it last."""
+        poses: list[int] = [key for _, factor in self._of[landmark] for key in filter(is_pose, factor.keys())]
+        return max(poses)
+
+    def sum_up(self, landmarks: list[int], estimate: Estimate) -> tuple[gtsam.NonlinearFactorGraph, list[int]]:
+        """One factor in place of all factors of some landmarks, and the slots of these.
+
+        Landmarks that are not determined are left as they are, such as those seen in a path that was mostly guessed.
+        """
+        finite = [landmark for landmark in landmarks if np.isfinite(estimate.point(landmark)).all()]
+        summary = self._summary(finite, estimate)
+        if weak := summary.undetermined:
+            summary = self._summary([landmark for landmark in finite if landmark not in weak], estimate)
+        added = gtsam.NonlinearFactorGraph()
+        if summary.landmarks:
+            self._summaries.append(summary)
+            added.add(summary.factor)
+        return added, [slot for landmark in summary.landmarks for slot, _ in self._of.pop(landmark)]
+
+    def _summary(self, landmarks: list[int], estimate: Estimate) -> Summary:
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for landmark in landmarks:
             values.insert(landmark, estimate.point(landmark))
-            for slot, factor in self._of.pop(landmark):
-                slots.append(slot)
+            for _, factor in self._of[landmark]:
                 factors.add(factor)
                 for pose in filter(is_pose, factor.keys()):
                     if not values.exists(pose):
                         values.insert(pose, estimate.pose(pose))
-        self._summaries.append(Summary(factors, landmarks, values))
-        return self._summaries[-1].factor, slots
+        return Summary(factors, landmarks, values)
 
     def insert_summed_up(self, values: gtsam.Values) -> None:
         """Add landmarks that were summed up to values of the poses."""

@@ -23,7 +23,8 @@ HELD = 1e-3  # rad and m: the oldest pose within a lag, where what was before is
 TURNED = 1e-3  # rad; a pose that turns by more is linearised again
 NEVER = 10**9  # updates
 GROWTH = 0.1  # by what share the number of updates grows until what has moved is linearised again
-UNSEEN = 10  # updates after which a landmark that was not seen again is summed up
+UNSEEN = 10  # updates with other landmarks, after which one that was not seen again is summed up
+LOOSE = 0.05  # rad; landmarks seen from poses known less well may come to lie elsewhere, and are not
 ATTEMPTS = 20  # repairs of one update
 _NAMED = re.compile(r"variable\s+(\d+)")
 
@@ -42,6 +43,7 @@ class Solver:
         self.repaired: list[str] = []  # variables that were not determined, in the order of their repair
         self._factors: list[tuple[float, gtsam.NonlinearFactorGraph]] = []  # by update, with its time; within the lag
         self._stamps: dict[int, float] = {}  # when each variable was seen last
+        self._sighted: list[float] = []  # when landmarks were seen
         self._updates = 0
         self._relinearised = 0  # number of the update that linearised again what had moved
         self._begin()
@@ -58,6 +60,8 @@ class Solver:
         now = max(stamps.values())
         self._factors.append((now, factors))
         self._stamps |= stamps
+        if any(map(is_landmark, stamps)):
+            self._sighted.append(now)
         if self._settings.lag is not None:
             begin = now - self._settings.lag
             self._factors = [(stamp, batch) for stamp, batch in self._factors if stamp >= begin]
@@ -156,8 +160,6 @@ class Solver:
         if self._settings.lag is None:
             self._updates += 1
             self._take(factors, values)
-            if self._updates % UNSEEN == 0:
-                self._sum_up()
             if self._updates - self._relinearised >= GROWTH * self._updates:
                 self._relinearised = self._updates
                 again = gtsam.ISAM2UpdateParams()
@@ -166,6 +168,8 @@ class Solver:
                 for key in stamps:  # eliminated last, since the next update is about them
                     again.constrainedKeys.insert2(key, 1)
                 self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), again)
+            if self._updates % UNSEEN == 0:
+                self._sum_up()
         else:
             self._solver.update(factors, values, stamps)
         newest = max(filter(is_pose, stamps), key=stamps.__getitem__)  # older ones may be beyond the lag
@@ -179,19 +183,26 @@ class Solver:
 
         There are several times more landmarks than poses, and a new scale moves them all.
         """
-        if len(self._factors) <= UNSEEN:
+        if len(self._sighted) <= UNSEEN:
             return
-        since = self._factors[-1 - UNSEEN][0]
+        since = self._sighted[-1 - UNSEEN]
         unseen: dict[float, list[int]] = {}
         for landmark in self._sightings:
             if self._stamps[landmark] <= since:
                 unseen.setdefault(self._stamps[landmark], []).append(landmark)
         added, removed = gtsam.NonlinearFactorGraph(), []
         for landmarks in unseen.values():
-            factor, slots = self._sightings.sum_up(landmarks, self)
-            added.add(factor)
+            if self._is_loose(landmarks):
+                continue
+            factors, slots = self._sightings.sum_up(landmarks, self)
+            added.push_back(factors)
             removed += slots
         self._solver.update(added, gtsam.Values(), removed)
+
+    def _is_loose(self, landmarks: list[int]) -> bool:
+        """Whether the path may yet turn where these landmarks were seen last, such as after images without any."""
+        turn = self._isam.marginalCovariance(self._sightings.seen_from(landmarks[0]))[:3, :3]
+        return bool(np.trace(turn) > LOOSE**2)
 
     def _repair(self, error: RuntimeError, by_priors: bool = True) -> None:
         """A solver that has thrown is not sound: begin a new one with all factors, until it does not throw."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import gtsam
+import numpy as np
+
+FARTHEST = 1e6  # metres; a landmark known less well than that is not determined
 
 
 class Summary:
@@ -17,6 +20,7 @@ class Summary:
         estimate: Of the poses and landmarks, where factors are linearised and told from outliers.
 
     Attributes:
+        landmarks: Their keys.
         factor: About the poses alone.
     """
 
@@ -24,9 +28,15 @@ class Summary:
         ordering = gtsam.Ordering()
         for landmark in landmarks:
             ordering.push_back(landmark)
-        self._estimate, self._landmarks = estimate, landmarks
+        self._estimate, self.landmarks = estimate, landmarks
         self._by_poses, about_poses = gtsam.EliminateQR(factors.linearize(estimate), ordering)
         self.factor = gtsam.LinearContainerFactor(about_poses, estimate)
+
+    @property
+    def undetermined(self) -> list[int]:
+        """Landmarks of which the factors do not tell where they are, whatever the poses."""
+        sharpness = np.abs(np.diag(self._by_poses.R())).reshape(-1, 3).min(axis=1)  # 1/metres
+        return [landmark for landmark, sharp in zip(self.landmarks, sharpness, strict=True) if not sharp > 1 / FARTHEST]
 
     def insert_landmarks(self, values: gtsam.Values) -> None:
         """Add the landmarks to values of the poses, where they are most likely for these."""
@@ -34,5 +44,5 @@ class Summary:
         for pose in self.factor.keys():  # noqa: SIM118
             moved.insert(pose, self._estimate.atPose3(pose).localCoordinates(values.atPose3(pose)))
         found = self._estimate.retract(self._by_poses.solve(moved))
-        for landmark in self._landmarks:
+        for landmark in self.landmarks:
             values.insert(landmark, found.atPoint3(landmark))

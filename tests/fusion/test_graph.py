@@ -12,7 +12,7 @@ from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.graph_files import FACTORS, G2O, LANDMARKS_PLY, VALUES
 from fvslam_graph.fusion.solver import Solver
 
-from .conftest import MOTION, error_of
+from .conftest import MOTION, PIXEL, error_of
 
 SEEDS = range(5)
 
@@ -75,6 +75,19 @@ def test_darkness(fed):
     spread = {second: np.trace(motion.covariance) for _, second, motion in made.motions}
     assert spread[30] > 10 * spread[20]
     assert spread[60] < 0.1 * spread[30]
+
+
+@pytest.mark.parametrize(("seed", "returns"), [(0, True), (1, False)])
+def test_darkness_of_ten_updates(fed, seed, returns):
+    """Landmarks seen before may be seen again, and tell where the camera turned; where none are, the path is loose.
+
+    In both, what landmarks say is what it is without summing up.
+    """
+    made = fed(frames=181, seed=seed, dark=range(41, 61))
+    assert made.graph.solver.repaired == []
+    assert PIXEL / 2 < made.graph._noise.sigma < 2 * PIXEL
+    turn = np.sqrt(np.trace(made.graph.pose(180).covariance[:3, :3]))
+    assert (turn < 0.05) == returns  # rad
 
 
 def test_a_fixed_lag_keeps_what_it_needs(fed):

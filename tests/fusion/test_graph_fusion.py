@@ -7,6 +7,7 @@ import pytest
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.estimates import GaussianPose, Views
+from fvslam_graph.fusion.factors import position_factor
 from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.sequences.base import Frame
 
@@ -44,7 +45,29 @@ def test_odometry_carries_on_as_the_graph_will_have_it(last):
     fusion.fuse(GaussianPose.identity(), GaussianPose.identity(), None)
     assert before.mean.equals(fusion.pose.mean, 1e-9)
     assert before.covariance == pytest.approx(fusion.pose.covariance, rel=1e-3, abs=1e-8)
-    assert fusion.reference is fusion.pose
+    assert fusion.reference.mean.equals(fusion.pose.mean, 1e-12)
+
+
+def test_corrections_are_taken_up_over_an_interval():
+    """A position that satellites tell moves P_f at once, and the online poses by a share of what is left a frame."""
+    fusion, metres = GraphFusion(CAMERA, GraphSettings(), None), 1.0
+    left = []
+    for index in range(14):
+        taken = motion(metres, index) if index else GaussianPose.identity()
+        fusion.add_odometry(Frame(index, 0.1 * index, None), max(index - 1, 0), taken, None, 0.0)
+        if index == 1:
+            fusion.start(fusion.pose, NOTHING)
+        if index == 6:
+            before = fusion.pose.mean.translation()
+            fusion.graph.add(position_factor(6, before + np.array([0.5, 0.0, 0.0]), 1e-4))
+            fusion.fuse(GaussianPose.identity(), GaussianPose.identity(), None)
+            step = before - fusion.reference.mean.translation()
+        if index >= 6:
+            carried_on = fusion.reference.compose(fusion.motion).mean.translation()
+            left.append(np.linalg.norm(fusion.pose.mean.translation() - carried_on))
+    assert np.linalg.norm(step) > 0.1
+    assert left == pytest.approx(np.linalg.norm(step) * np.exp(-np.arange(1, 9) / 5), rel=1e-6)
+    assert np.linalg.eigvalsh(fusion.pose.covariance - fusion._poses[13].covariance)[-1] == pytest.approx(left[-1] ** 2)
 
 
 def test_odometry_that_starts_beyond_the_lag():
