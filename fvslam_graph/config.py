@@ -140,7 +140,8 @@ class GraphSettings(_Group):
     # Odometry's lengths have a scale in common, which is smoothed with all else; or each one its own.
     lengths: Literal["chained", "independent"] = "chained"
     # The online pose: where the graph has the camera, but what lies behind it in the scale in which it was published,
-    # so that learning the scale does not bend the path; or all in the scale of now, which makes the camera jump.
+    # so that learning the scale does not bend the path, and corrections over an interval; or all as it is known now,
+    # which makes the camera jump.
     online: Literal["steady", "pose"] = "steady"
     pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark along each axis, until its noise was measured
     # What all landmarks of an image err alike, in deviations of one of them: their number does not average that out.

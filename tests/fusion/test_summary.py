@@ -9,6 +9,7 @@ import pytest
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.factors import LandmarkFactors, landmark_key, motion_factor, pose_factor, pose_key
+from fvslam_graph.fusion.sightings import Sightings
 from fvslam_graph.fusion.solver import UNSEEN
 from fvslam_graph.fusion.summary import Summary
 from fvslam_graph.sequences.points import simulate_drive
@@ -135,3 +136,33 @@ def test_the_solver_sums_up_what_is_out_of_sight(fed):
         rms.append(np.sqrt(((positions - made.scene.trajectory.positions) ** 2).sum(axis=1).mean()))
     assert rms[0] < 1.1 * rms[1]  # measured 0.1298 and 0.1281 m
     assert all(solver.has(key) for key in landmarks)
+
+
+class _At:
+    """An estimate, as `Sightings` asks for it."""
+
+    def __init__(self, values: gtsam.Values) -> None:
+        self._values = values
+
+    def pose(self, key: int) -> gtsam.Pose3:
+        return self._values.atPose3(key)
+
+    def point(self, key: int) -> np.ndarray:
+        point: np.ndarray = self._values.atPoint3(key)
+        return point
+
+
+@pytest.mark.parametrize("nowhere", [np.array([0.0, 0.0, -5.0]), np.full(3, np.inf)], ids=["behind", "infinite"])
+def test_a_landmark_that_is_not_determined_is_left_alone(small, nowhere):
+    """A projection says nothing of what lies behind the camera."""
+    values, sightings = gtsam.Values(small.estimate), Sightings()
+    values.update(small.landmarks[3], nowhere)
+    sightings.add(small.sightings, list(range(small.sightings.size())))
+    added, slots = sightings.sum_up(small.landmarks, _At(values))
+    assert added.size() == 1
+    assert set(sightings) == {small.landmarks[3]}
+    assert len(slots) == small.sightings.size() - len(FRAMES)
+    poses = small.poses()
+    sightings.insert_summed_up(poses)
+    assert not poses.exists(small.landmarks[3])
+    assert poses.atPoint3(small.landmarks[0]) == pytest.approx(small.estimate.atPoint3(small.landmarks[0]), abs=1e-4)
