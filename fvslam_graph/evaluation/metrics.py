@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import Association, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
@@ -130,8 +128,9 @@ def evaluate(
     """
     association = associate(estimate, reference)
     notes = []
-    scale, ape_scaled = _by_similarity(association)
-    if math.isnan(scale) and align in (Alignment.SE3, Alignment.SIM3):
+    scale = _scale(association)
+    determined = not math.isnan(scale)
+    if not determined and align in (Alignment.SE3, Alignment.SIM3):
         notes.append(f"the motion does not determine an alignment by {align}: aligned at the origin")
         align = Alignment.ORIGIN
 
@@ -158,7 +157,7 @@ def evaluate(
         poses=len(estimate),
         frames=frames,
         scale=scale,
-        ape_scaled=ape_scaled,
+        ape_scaled=_ape_scaled(association, name) if determined else math.nan,
         errors=errors,
         drift=drift(matrices, association.reference.matrices),
         drift_scaled=drift(scaled, association.reference.matrices),
@@ -167,17 +166,25 @@ def evaluate(
     )
 
 
-def _by_similarity(association: Association) -> tuple[float, float]:
-    """Umeyama's scale factor, and the RMSE of the positions (m) that is left; NaN for degenerate motions."""
+def _scale(association: Association) -> float:
+    """Umeyama's scale factor; NaN for degenerate motions."""
     from evo.core.geometry import GeometryException, umeyama_alignment
 
-    estimate, reference = association.estimate.positions, association.reference.positions
     try:
-        rotation, translation, scale = umeyama_alignment(estimate.T, reference.T, with_scale=True)
+        _, _, scale = umeyama_alignment(
+            association.estimate.positions.T, association.reference.positions.T, with_scale=True
+        )
     except GeometryException:
-        return math.nan, math.nan
-    off = scale * estimate @ rotation.T + translation - reference
-    return float(scale), float(np.sqrt((off**2).sum(axis=1).mean()))
+        return math.nan
+    return float(scale)
+
+
+def _ape_scaled(association: Association, name: str) -> float:
+    from evo.core.metrics import PoseRelation
+    from evo.main_ape import ape
+
+    result = ape(*_evo_pair(association, name), PoseRelation.translation_part, **Alignment.SIM3.options)
+    return float(result.stats["rmse"])
 
 
 def _errors(association: Association, align: Alignment, name: str) -> dict[str, Result]:

@@ -192,16 +192,16 @@ class Solver:
                 unseen.setdefault(self._stamps[landmark], []).append(landmark)
         added, removed = gtsam.NonlinearFactorGraph(), []
         for landmarks in unseen.values():
-            if self._is_loose(landmarks):
+            if self._is_loose(self._sightings.seen_from(landmarks[0])):
                 continue
             factors, slots = self._sightings.sum_up(landmarks, self)
             added.push_back(factors)
             removed += slots
         self._solver.update(added, gtsam.Values(), removed)
 
-    def _is_loose(self, landmarks: list[int]) -> bool:
-        """Whether the path may yet turn where these landmarks were seen last, such as after images without any."""
-        turn = self._isam.marginalCovariance(self._sightings.seen_from(landmarks[0]))[:3, :3]
+    def _is_loose(self, pose: int) -> bool:
+        """Whether the path may yet turn there, such as after images without landmarks."""
+        turn = self._isam.marginalCovariance(pose)[:3, :3]
         return bool(np.trace(turn) > LOOSE**2)
 
     def _repair(self, error: RuntimeError, by_priors: bool = True) -> None:
