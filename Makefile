@@ -5,19 +5,26 @@ PYTHON ?= $(shell for python in python3.11 python3; do \
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadscope
 CHROMIUM := DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium fonts-dejavu-core
 
-.PHONY: help demo test lint browser lock clean
+.PHONY: help demo test test-all test-numerics lint browser lock clean
 .DEFAULT_GOAL := help
 
 help: ## This list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
 demo: $(READY) ## Fly over generated terrain, estimate the motion, compare and plot; results in runs/demo
 	$(BIN)/fvslam demo
 
-test: lint browser ## Lint, types and all tests
-	$(BIN)/pytest
+test: lint browser ## Lint, types and tests, in two processes
+	$(PYTEST)
+
+test-all: test ## ... and the long ones, over many seeds
+	$(PYTEST) -m slow
+
+test-numerics: $(READY) ## Those on which a processor's last bits tell; OPENBLAS_CORETYPE=Nehalem, say, is another processor
+	$(PYTEST) tests/vo tests/slam tests/fusion tests/test_pipeline.py
 
 lint: $(READY) ## ruff and mypy
 	$(BIN)/ruff check
