@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 import gtsam
@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.fusion.factors import is_landmark, is_pose
-from fvslam_graph.fusion.summary import Summary
+from fvslam_graph.fusion.newcomers import NEAREST
+from fvslam_graph.fusion.summary import FARTHEST, Summary
 
 
 class Estimate(Protocol):
@@ -46,6 +47,10 @@ class Sightings:
         poses: list[int] = [key for _, factor in self._of[landmark] for key in filter(is_pose, factor.keys())]
         return max(poses)
 
+    def drop(self, landmarks: Iterable[int]) -> list[int]:
+        """Forget landmarks; the slots of their factors."""
+        return [slot for landmark in landmarks for slot, _ in self._of.pop(landmark)]
+
     def sum_up(self, landmarks: list[int], estimate: Estimate) -> tuple[gtsam.NonlinearFactorGraph, list[int]]:
         """One factor in place of all factors of some landmarks, and the slots of these.
 
@@ -59,7 +64,7 @@ class Sightings:
         if summary.landmarks:
             self._summaries.append(summary)
             added.add(summary.factor)
-        return added, [slot for landmark in summary.landmarks for slot, _ in self._of.pop(landmark)]
+        return added, self.drop(summary.landmarks)
 
     def _summary(self, landmarks: list[int], estimate: Estimate) -> Summary:
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -76,3 +81,15 @@ class Sightings:
         """Add landmarks that were summed up to values of the poses."""
         for summary in self._summaries:
             summary.insert_landmarks(values)
+
+
+def astray(factors: gtsam.NonlinearFactorGraph, estimate: gtsam.Values) -> set[int]:
+    """Landmarks that cannot be where they are estimated: not in front of all cameras that saw them."""
+    found = set()
+    for slot in range(factors.size()):
+        factor = factors.at(slot)
+        if isinstance(factor, gtsam.GenericProjectionFactorCal3_S2):
+            pose, landmark = factor.keys()
+            if not NEAREST < estimate.atPose3(pose).transformTo(estimate.atPoint3(landmark))[2] < FARTHEST:
+                found.add(landmark)
+    return found

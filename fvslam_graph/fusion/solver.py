@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import gtsam
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
 from fvslam_graph.fusion.factors import is_landmark, is_pose
-from fvslam_graph.fusion.sightings import Sightings
+from fvslam_graph.fusion.sightings import Sightings, astray
 
 _log = logging.getLogger(__name__)
 
@@ -77,6 +77,10 @@ class Solver:
             return
         try:
             optimum = gtsam.LevenbergMarquardtOptimizer(self.factors(), self.values()).optimize()
+            lost = astray(self.factors(), optimum)
+            self._remove(lost.__contains__)
+            for key in lost:
+                optimum.erase(key)
             self._begin()
             self._take(self.factors(), optimum)
         except RuntimeError as error:
@@ -161,19 +165,29 @@ class Solver:
             self._updates += 1
             self._take(factors, values)
             if self._updates - self._relinearised >= GROWTH * self._updates:
-                self._relinearised = self._updates
-                again = gtsam.ISAM2UpdateParams()
-                again.force_relinearize = True
-                again.constrainedKeys = gtsam.KeyGroupMap()
-                for key in stamps:  # eliminated last, since the next update is about them
-                    again.constrainedKeys.insert2(key, 1)
-                self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), again)
+                self._linearise_again(stamps)
             if self._updates % UNSEEN == 0:
                 self._sum_up()
         else:
             self._solver.update(factors, values, stamps)
         newest = max(filter(is_pose, stamps), key=stamps.__getitem__)  # older ones may be beyond the lag
         self._solver.calculateEstimatePose3(newest)  # throws, too, if at all
+
+    def _linearise_again(self, newest: Iterable[int]) -> None:
+        """Linearise again what has moved, all at once, but for landmarks that came to lie behind a camera.
+
+        There a projection says nothing: once linearised, they would not be determined.
+        """
+        self._relinearised = self._updates
+        if lost := astray(self._solver.getFactorsUnsafe(), self._solver.calculateEstimate()):
+            self._remove(lost.__contains__)
+            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._sightings.drop(lost))
+        again = gtsam.ISAM2UpdateParams()
+        again.force_relinearize = True
+        again.constrainedKeys = gtsam.KeyGroupMap()
+        for key in filter(self.has, newest):  # eliminated last, since the next update is about them
+            again.constrainedKeys.insert2(key, 1)
+        self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), again)
 
     def _take(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self._sightings.add(factors, self._solver.update(factors, values).getNewFactorsIndices())

@@ -38,7 +38,10 @@ class Fed:
 
 @pytest.fixture
 def fed() -> Callable[..., Fed]:
-    """Feeds a graph, with a share of motions and of pixels that are grossly wrong."""
+    """Feeds a graph, with a share of motions and of pixels that are grossly wrong.
+
+    It follows up to `count` landmarks; unless they are `recognised`, those seen after the darkness are others.
+    """
 
     def make(
         frames: int = 41,
@@ -48,6 +51,8 @@ def fed() -> Callable[..., Fed]:
         wrong_pixels: float | None = None,
         scene: PointScene | None = None,
         dark: range = range(0),
+        recognised: bool = True,
+        count: int = 40,
         **settings: object,
     ) -> Fed:
         scene = scene or simulate_drive(frames=frames, seed=seed, noise=noise * PIXEL, landmarks=150 * frames)
@@ -72,13 +77,14 @@ def fed() -> Callable[..., Fed]:
                     seen = scene.observe(index)
                     followed = np.concatenate(
                         [followed[np.isin(followed, seen.ids)], rng.permutation(np.setdiff1d(seen.ids, followed))]
-                    )[:40]
+                    )[:count]
                     rows = np.searchsorted(seen.ids, followed)
                     pixels = seen.pixels[rows]
                     anywhere = rng.random(len(rows)) < (wrong if wrong_pixels is None else wrong_pixels)
                     pixels[anywhere] += rng.uniform(-60, 60, (anywhere.sum(), 2))
                     points = scene.in_camera(index)[followed]
-                    views = Views(followed, pixels, points, np.tile(0.05**2 * np.eye(3), (len(rows), 1, 1)))
+                    names = followed if recognised or index < dark.start else followed + len(scene.landmarks)
+                    views = Views(names, pixels, points, np.tile(0.05**2 * np.eye(3), (len(rows), 1, 1)))
                 made.motions.append((last, index, made.graph.fuse(views)))
                 last = index
         return made
