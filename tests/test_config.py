@@ -46,7 +46,8 @@ def test_the_effective_settings_read_back_are_the_same(tmp_path, preset):
 def test_a_preset_named_in_a_file_is_the_one_that_the_rest_comes_from(tmp_path):
     file = tmp_path / "settings.yaml"
     file.write_text("preset: paper\nvo: {min_inliers: 40}\n")
-    assert load_config("tuned", file) == load_config("paper", settings=["vo.min_inliers=40"])
+    assert load_config(file=file) == load_config("paper", settings=["vo.min_inliers=40"])
+    assert load_config("tuned", file) == load_config(settings=["vo.min_inliers=40"])
 
 
 def test_settings_are_frozen():
