@@ -23,7 +23,7 @@ def test_run_evaluate_and_plot(drive, tmp_path, fvslam):
     outcome = fvslam("run", drive, "--out", folder)
     assert outcome == (
         0,
-        f"12 frames of drive: 10 tracked, 1 static, 1 coasted; next: fvslam evaluate {folder}; fvslam plot {folder}\n",
+        f"12 frames of drive: 11 tracked, 1 static; next: fvslam evaluate {folder}; fvslam plot {folder}\n",
         "",
     )
     run = read_run(folder)
