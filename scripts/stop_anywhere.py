@@ -63,14 +63,10 @@ def disturb(command: str, kind: str, folder: Path, chance: random.Random, second
     size, moment = chance.randint(*DISK) + (held if command == "evaluate" else 0), chance.uniform(0.1, 1.0) * seconds
     if full:
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}k", "tmpfs", out], check=True)
+    target = out / whole.name
     try:
-        before = (
-            shutil.copytree(folder / "undisturbed-run", out / "of", symlinks=True) if command == "evaluate" else None
-        )
-    except shutil.Error:
-        before = None  # not even the run has room
-    target = before or out / "of"
-    try:
+        if command == "evaluate":
+            shutil.copytree(folder / "undisturbed-run", target)
         code, said = execute(command, folder, target, None if full else (getattr(signal, kind), moment))
         print(f"{command}, {kind} {f'{size} KB' if full else f'{moment:.1f} s'}: {code} {said[-120:]}", flush=True)
         early = not full and code == -getattr(signal, kind)  # killed, or before Python has come to our own handler
