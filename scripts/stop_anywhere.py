@@ -69,8 +69,8 @@ def disturb(command: str, kind: str, folder: Path, chance: random.Random, second
             shutil.copytree(folder / "undisturbed-run", target)
         code, said = execute(command, folder, target, None if full else (getattr(signal, kind), moment))
         print(f"{command}, {kind} {f'{size} KB' if full else f'{moment:.1f} s'}: {code} {said[-120:]}", flush=True)
-        early = not full and code == -getattr(signal, kind)  # killed, or before Python has come to our own handler
-        assert early or ("Traceback" not in said and code in (0, 1, 130)), (code, said)
+        died = not full and code < 0  # killed, or before Python has come to our own handler, or after it
+        assert died or ("Traceback" not in said and code in (0, 1, 130)), (code, said)
         if code == 0:
             require_equal(command, target, whole)
         look(target, folder / "undisturbed-run")
