@@ -31,7 +31,7 @@ def run(
     preset: str = "tuned",
     settings: Mapping[str, Any] | None = None,
     seed: int = 0,
-    out: Path | None = None,
+    out: str | Path | None = None,
 ) -> Run:
     """Run an estimator on a sequence.
 
@@ -55,10 +55,10 @@ def run(
     description = facts(recording, config)
     if out is None:
         return collect(estimate(recording, config), config, description, recording.ground_truth)
-    with RunWriter(out, config, description, recording.ground_truth) as writer:
+    with RunWriter(Path(out), config, description, recording.ground_truth) as writer:
         for result in estimate(recording, config):
             writer.add(result)
-    return read_run(out)
+    return read_run(Path(out))
 
 
 def evaluate(
@@ -74,7 +74,7 @@ def evaluate(
     Raises:
         FvslamError: A file cannot be read, there is no reference, or the two have no time in common.
     """
-    alignment = Alignment(align)
+    alignment = Alignment.named(align)
     if isinstance(estimated, str | Path) and Path(estimated).is_dir():
         estimated = read_run(Path(estimated))
     truth = load_trajectory(Path(reference)) if isinstance(reference, str | Path) else reference
@@ -95,7 +95,7 @@ def compare(
     settings: Mapping[str, Any] | None = None,
     external: Mapping[str, str | Path] | None = None,
     align: str = "sim3",
-    out: Path | None = None,
+    out: str | Path | None = None,
     workers: int = 1,
 ) -> Outcome:
     """Run several modes on one sequence, over several seeds, beside the trajectories of other systems.
@@ -118,4 +118,4 @@ def compare(
         FvslamError: One sentence on what is missing, unknown or out of range.
     """
     study = comparison(sequence, modes, seeds, preset, settings, external, align)
-    return carry_out(study, out or default_folder(study), workers)
+    return carry_out(study, default_folder(study) if out is None else Path(out), workers)

@@ -53,3 +53,19 @@ def test_compare(tmp_path):
     assert outcome.table["variant"].tolist() == ["features.count=200", "features.count=300"]
     assert outcome.table["seed"].tolist() == [3, 3] and outcome.table["ape"].nunique() == 2
     assert (tmp_path / "report.html").is_file()
+
+
+def test_folders_may_be_strings(tmp_path):
+    assert fvslam_graph.run(SHORT, out=str(tmp_path / "run")).folder == tmp_path / "run"
+    fvslam_graph.compare(SHORT, ["vo"], 1, out=str(tmp_path / "compare"))
+    assert (tmp_path / "compare" / "report.html").is_file()
+
+
+@pytest.mark.parametrize("align", ["se4", "", None, 3])
+def test_a_wrong_alignment_is_one_sentence(tmp_path, align):
+    truth = open_sequence(SHORT).ground_truth
+    with pytest.raises(FvslamError, match="align"):
+        fvslam_graph.evaluate(truth, truth, align)
+    with pytest.raises(FvslamError, match="align"):
+        fvslam_graph.compare(SHORT, align=align, out=tmp_path / "compare")
+    assert not (tmp_path / "compare").exists()

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -11,6 +12,7 @@ import pytest
 import yaml
 
 from fvslam_graph import pipeline
+from fvslam_graph.files import file_name
 from fvslam_graph.run_folder import read_run
 
 COMMANDS = ("run", "evaluate", "plot", "compare", "study", "info", "demo")
@@ -22,7 +24,7 @@ def test_run_evaluate_and_plot(drive, tmp_path, fvslam):
     outcome = fvslam("run", drive, "--out", folder)
     assert outcome == (
         0,
-        f"12 frames of drive: {folder}\nnext: fvslam evaluate {folder}; fvslam plot {folder}\n",
+        f"12 frames of drive: 11 tracked, 1 static; next: fvslam evaluate {folder}; fvslam plot {folder}\n",
         "",
     )
     run = read_run(folder)
@@ -52,7 +54,7 @@ def test_options_reach_the_run(drive, tmp_path, fvslam):
     ground = ("--camera-height", 3, "--camera-pitch", 0.1)
     chosen = ("--preset", "paper", "--config", settings, "--set", "features.count=200", "--seed", 5)
     code, _, err = fvslam("run", drive, "--out", tmp_path / "run", *part, *ground, *chosen)
-    assert (code, err) == (0, "")
+    assert code == 0 and "most frames were not tracked (1 static, 2 coasted, 1 reinitialised)" in err
     run = read_run(tmp_path / "run")
     assert (run.config["preset"], run.config["seed"]) == ("paper", 5)
     assert (run.config["features"]["count"], run.config["features"]["spacing"]) == (200, 5)
@@ -64,7 +66,8 @@ def test_options_reach_the_run(drive, tmp_path, fvslam):
 def test_the_default_folder_needs_no_quotes(tmp_path, monkeypatch, fvslam):
     monkeypatch.chdir(tmp_path)
     code, out, _ = fvslam("run", "synthetic:drive?frames=2&size=320x100")
-    folder = "runs/synthetic-drive-frames-2-size-320x100-vo-tuned"
+    folder = f"runs/{file_name('synthetic:drive?frames=2&size=320x100')}-vo-tuned"
+    assert re.fullmatch(r"[\w./-]+", folder)
     assert code == 0 and out.endswith(f"fvslam plot {folder}\n")
     assert read_run(tmp_path / folder).info["sequence"] == "synthetic:drive?frames=2&size=320x100"
 
@@ -115,6 +118,28 @@ def test_an_interrupted_run_is_kept(drive, tmp_path, monkeypatch, fvslam):
     assert (run.info["status"], len(run.online), run.info["totals"]["frames"]) == ("interrupted", 4, 4)
     code, out, _ = fvslam("evaluate", tmp_path / "run")
     assert code == 0 and "interrupted" in out and "33.3 %" in out
+
+
+@pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_interrupts(drive, tmp_path, monkeypatch, fvslam, stop):
+    def signalled(sequence, config, estimate=pipeline.estimate):
+        for result in estimate(sequence, config):
+            if result.index == 4:
+                signal.raise_signal(stop)
+            yield result
+
+    monkeypatch.setattr(pipeline, "estimate", signalled)
+    assert fvslam("run", drive, "--out", tmp_path / "run") == (130, "", "")
+    assert (read_run(tmp_path / "run").info["status"], len(read_run(tmp_path / "run").online)) == ("interrupted", 4)
+
+
+def test_frames_that_were_not_tracked_are_counted(drive, tmp_path, fvslam):
+    recording = shutil.copytree(drive, tmp_path / "drive")
+    for number in range(1, 12):
+        (recording / "images" / f"{number:02d}.png").write_bytes(b"")
+    code, out, err = fvslam("run", recording, "--out", tmp_path / "run")
+    assert code == 0 and out.startswith("12 frames of drive: 1 static, 11 skipped; next: ") and out.count("\n") == 1
+    assert err.startswith("drive: most frames were not tracked (1 static, 11 skipped)") and err.count("\n") == 1
 
 
 def test_evaluate_files_with_a_reference(drive, tmp_path, fvslam):
@@ -195,10 +220,16 @@ def test_the_package_is_a_program(tmp_path):
 
 
 def test_the_config_of_a_run_repeats_it(drive, tmp_path, fvslam):
-    assert fvslam("run", drive, "--out", tmp_path / "a", "--preset", "paper", "--set", "vo.min_inliers=30").code == 0
+    chosen = ("--preset", "paper", "--mode", "average", "--seed", 3, "--set", "vo.min_inliers=30")
+    assert fvslam("run", drive, "--out", tmp_path / "a", *chosen).code == 0
     assert fvslam("run", drive, "--out", tmp_path / "b", "--config", tmp_path / "a" / "config.yaml").code == 0
     config = yaml.safe_load((tmp_path / "b" / "config.yaml").read_text())
-    assert (config["preset"], config["vo"]["min_inliers"]) == ("paper", 30)
+    assert (config["preset"], config["mode"], config["seed"], config["vo"]["min_inliers"]) == (
+        "paper",
+        "average",
+        3,
+        30,
+    )
     for name in ("config.yaml", "trajectory_online.tum"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 

@@ -186,10 +186,10 @@ def test_a_disk_that_fills_up(drive, tmp_path, monkeypatch, refused):
         ("evaluate {run} --reference {times}", r"times\.csv .*neither a TUM file .* nor a KITTI file"),
         ("evaluate {truth}", r"groundtruth\.tum is a file: give the trajectory to compare it with by --reference"),
         ("evaluate {truth} --reference {late}", r"0 of 12 poses have a reference: .* from 1000\.000 to 1004"),
-        ("evaluate {run} --align se4", "--align is one of none, origin, se3, sim3, not 'se4'"),
+        ("evaluate {run} --align se4", "the alignment is one of none, origin, se3, sim3, not 'se4'"),
         ("plot {drive}", r"drive is not the folder of a run: it has no run\.json"),
         ("plot {run} {absent}", r"absent is not the folder of a run: it has no run\.json"),
-        ("plot {run} --align se4", "--align is one of none, origin, se3, sim3, not 'se4'"),
+        ("plot {run} --align se4", "the alignment is one of none, origin, se3, sim3, not 'se4'"),
         ("plot {run} --out {truth}", r"groundtruth\.tum cannot be written: File exists"),
     ],
 )

@@ -1,6 +1,10 @@
 """The four ways to bring an estimate into the world of its reference."""
 
+from __future__ import annotations
+
 from enum import StrEnum
+
+from fvslam_graph.errors import FvslamError
 
 
 class Alignment(StrEnum):
@@ -10,6 +14,13 @@ class Alignment(StrEnum):
     ORIGIN = "origin"  # the first poses coincide
     SE3 = "se3"  # least squares over all positions (Umeyama)
     SIM3 = "sim3"  # the same with one scale factor
+
+    @classmethod
+    def named(cls, name: str) -> Alignment:
+        """By its name; raises FvslamError where there is none of that name."""
+        if name not in list(cls):
+            raise FvslamError(f"the alignment is one of {', '.join(cls)}, not '{name}'")
+        return cls(name)
 
     @property
     def options(self) -> dict[str, bool]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fvslam_graph.errors import ResultsError
+from fvslam_graph.errors import ResultsError, TrajectoryError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import load_pair
 from fvslam_graph.evaluation.metrics import Evaluation, evaluate
@@ -67,6 +67,8 @@ def evaluation_of(run: Run, truth: Trajectory | None = None, align: Alignment = 
     evaluation = evaluate(run.online, truth, align, run.name, run.info.get("frames"), relatives)
     if run.smoothed is None:
         return evaluation
-    errors = evaluate(run.smoothed, truth, align).errors
-    smoothed = float(errors["ape_trans"].stats["rmse"]) if "ape_trans" in errors else np.nan
-    return replace(evaluation, smoothed=smoothed)
+    try:
+        errors = evaluate(run.smoothed, truth, align).errors
+    except TrajectoryError:  # too few of its poses are determined
+        return evaluation
+    return replace(evaluation, smoothed=float(errors["ape_trans"].stats["rmse"]))
