@@ -117,7 +117,7 @@ def test_a_damaged_recording(drive, tmp_path, monkeypatch, refused, command, spo
         ("--preset fast", "'preset' cannot be 'fast': input should be 'paper' or 'tuned'"),
         ("--set vo.min_inlier=20", r"no setting 'vo\.min_inlier'; the nearest is 'vo\.min_inliers'"),
         ("--set vo.min_inliers=2", r"'vo\.min_inliers' cannot be 2"),
-        ("--config absent.yaml", r"absent\.yaml cannot be read as settings"),
+        ("--config absent.yaml", r"absent\.yaml is missing"),
         ("--seed -1", "'seed' cannot be -1"),
         ("--frames 5", "frames are given as START:STOP, for example 100:350, not '5'"),
         ("--frames 50:60", "no frame of drive is in 50:60, it has 12"),
