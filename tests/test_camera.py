@@ -118,8 +118,8 @@ def test_rectified_points_are_where_the_ideal_camera_sees_them(camera, target_R_
     [
         ({"fx": np.nan}, "not finite"),
         ({"coefficients": (np.inf, 0.0, 0.0, 0.0), "distortion": Distortion.RADTAN}, "not finite"),
-        ({"width": 0}, "image size must be positive, not 0x480"),
-        ({"height": -1}, "image size must be positive, not 640x-1"),
+        ({"width": 0}, "image size must be 16 to 10000 pixels a side, not 0x480"),
+        ({"height": -1}, "image size must be 16 to 10000 pixels a side, not 640x-1"),
         ({"fx": 0.0}, "focal lengths must be positive, not fx=0"),
         ({"fy": -2.0}, "focal lengths must be positive"),
         ({"coefficients": (0.1,)}, "'none' takes 0 coefficients, not 1"),

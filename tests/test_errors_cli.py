@@ -122,7 +122,7 @@ def test_a_damaged_recording(drive, tmp_path, monkeypatch, refused, command, spo
         ("--frames 5", "frames are given as START:STOP, for example 100:350, not '5'"),
         ("--frames 50:60", "no frame of drive is in 50:60, it has 12"),
         ("--image-scale 2", r"the scale must be in \(0, 1\], not 2"),
-        ("--image-scale 0.001", "the image size must be positive, not 0x0"),
+        ("--image-scale 0.001", "the image size must be 16 to 10000 pixels a side, not 0x0"),
         ("--camera-height nan", "the camera height must be a positive number of metres, not nan"),
         ("--camera-pitch 9", "the camera pitch must be between -pi/2 and pi/2 radians, not 9"),
     ],

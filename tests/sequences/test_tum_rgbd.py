@@ -46,7 +46,7 @@ def test_unknown_camera(recording):
 
 
 def test_size_mismatch_names_the_published_calibration(recording, write_images):
-    write_images(recording / "rgb", [f"{STAMPS[0]:.6f}.png"])
+    write_images(recording / "rgb", [f"{stamp:.6f}.png" for stamp in STAMPS])
     with pytest.raises(CameraError, match="is 64x48 pixels, but the published calibration of freiburg2 is for 640x480"):
         open_sequence(recording)
 
