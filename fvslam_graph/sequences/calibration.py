@@ -66,7 +66,6 @@ def read_calibration(path: Path) -> Calibration:
     entries = Entries.read(path)
     layout = next((layout for layout in LAYOUTS if entries.has(layout.key)), None)
     if layout is None:
-        entries.left(".*")
         known = ", ".join(f"'{layout.key}' ({layout.tool})" for layout in LAYOUTS)
         raise CameraError(f"{path} has none of the keys by which a calibration is known: {known}")
     if layout.key == "cam0":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,6 @@ class Entries:
         self._spelling: dict[str, str] = {}
         self._values: dict[str, Any] = {}
         self._left: dict[str, str] = {}
-        self._absent: dict[str, str] = {}  # what was looked for and is not there
         for key, value in content.items():
             if (plain := _plain(key)) in self._values:
                 raise CameraError(f"{path}: '{self._spelling[plain]}' and '{key}' are the same key")
@@ -52,12 +50,18 @@ class Entries:
         return any(_plain(name) in self._values for name in names)
 
     def get(self, *names: str, default: Any = None) -> Any:
-        """The value of the one that is there of several names for the same thing; raises CameraError at two."""
+        """The value of the one that is there of several names for the same thing.
+
+        Raises:
+            CameraError: There are two, or none but a key that is nearly one of them.
+        """
         given = [name for name in names if self.has(name)]
         if len(given) > 1:
             raise CameraError(f"{self.path}: '{given[0]}' and '{given[1]}' are both given")
         if not given:
-            self._absent.update({_plain(name): name for name in names})
+            for name in (name for name in names if "." not in name):  # ORB-SLAM's differ by a letter
+                for near in difflib.get_close_matches(_plain(name), self._left, 1, CLOSE):
+                    raise CameraError(f"{self.path}: '{self._left[near]}' is not understood; the nearest is '{name}'")
             return default
         self._left.pop(_plain(given[0]), None)
         return self._values[_plain(given[0])]
@@ -66,7 +70,7 @@ class Entries:
         """A number, a list, a list of rows, or a matrix mapping; raises CameraError where it is missing or none."""
         value = self.get(*names)
         if value is None and not self.has(*names):
-            raise CameraError(f"{self.path}: '{names[0]}' is missing{self._nearest(names)}")
+            raise CameraError(f"{self.path}: '{names[0]}' is missing")
         if isinstance(value, dict):
             value = value.get("data")
         try:
@@ -98,21 +102,14 @@ class Entries:
         """The keys that nobody has looked up, but for those that match `others`.
 
         Raises:
-            CameraError: One is nearly what was looked for, or speaks of the lens.
+            CameraError: One speaks of the lens.
         """
         left = {plain: key for plain, key in self._left.items() if not re.fullmatch(others, plain)}
         for plain, key in left.items():
-            near = difflib.get_close_matches(plain, self._absent, 1, CLOSE)
-            if near:
-                raise CameraError(f"{self.path}: '{key}' is not understood; the nearest is '{self._absent[near[0]]}'")
             if _LENS.fullmatch(plain):
                 known = "distortion_model and distortion_coefficients"
                 raise CameraError(f"{self.path}: '{key}' is not understood; a lens is described by {known}")
         return list(left.values())
-
-    def _nearest(self, names: Sequence[str]) -> str:
-        near = difflib.get_close_matches(_plain(names[0]), self._left, 1, CLOSE)
-        return f"; the nearest is '{self._left[near[0]]}'" if near else ""
 
 
 def _plain(key: str) -> str:

@@ -25,7 +25,7 @@ MODELS = {
     "fisheye": Distortion.EQUIDISTANT,
 }
 
-MIN_VIEW, MAX_VIEW = 5.0, 179.0  # degrees across the image; outside, the focal length is in other units than pixels
+MIN_VIEW, MAX_VIEW = 5.0, 175.0  # degrees from side to side, as a pinhole; outside, f is in other units than pixels
 MAX_ASPECT = 3.0  # of the focal lengths
 MAX_SKEW = 1e-3  # of the focal length: a quarter of a pixel in the corners
 MAX_ASIDE = 0.2  # of the image's size, principal point off the middle; more, unless images are cut, is a mistake

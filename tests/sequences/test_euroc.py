@@ -95,7 +95,7 @@ def test_without_ground_truth_and_with_a_lost_image(recording):
         ("state_groundtruth_estimate0/data.csv", "1,2,3,1,0", "1,nan,3,1,0", TrajectoryError, r"data\.csv: .*finite"),
         ("state_groundtruth_estimate0/data.csv", "1,2,3,1,0", "1,2,3,nan,0", TrajectoryError, r"data\.csv: .*finite"),
         ("state_groundtruth_estimate0/data.csv", "1,2,3,1,0", "1,2,3,2,0", TrajectoryError, "row 1 is not of length 1"),
-        ("state_groundtruth_estimate0/data.csv", f"{START},", "9" * 18 + ",", TrajectoryError, "not later"),
+        ("state_groundtruth_estimate0/data.csv", f"{START},", "2" * 19 + ",", TrajectoryError, "not later"),
         ("state_groundtruth_estimate0/data.csv", TRUTH[0], "1,2", TrajectoryError, "should have rows of time stamp"),
     ],
 )

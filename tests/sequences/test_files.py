@@ -1,7 +1,7 @@
 import pytest
 
 from fvslam_graph.errors import SequenceError
-from fvslam_graph.sequences.files import image_files, numbered_images, ranges, stamps_in_names
+from fvslam_graph.sequences.files import image_files, numbered_images, ranges
 
 
 def test_natural_order_without_hidden_and_other_files(tmp_path, write_images):

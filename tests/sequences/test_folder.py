@@ -77,7 +77,12 @@ def test_lost_and_truncated_images_are_frames_without_image(plain_folder):
         ),
         ("groundtruth.tum", "0 0 0 nan 0 0 0 1\n", TrajectoryError, r"groundtruth\.tum: .*not finite"),
         ("groundtruth.tum", "1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", TrajectoryError, r"groundtruth\.tum: .*not later"),
-        ("camera.yaml", "rate: 0\n", CameraError, r"camera\.yaml: has none of the keys by which a calibration is known: 'cam0'"),
+        (
+            "camera.yaml",
+            "rate: 0\n",
+            CameraError,
+            r"camera\.yaml has none of the keys by which a calibration is known: 'cam0'",
+        ),
     ],
 )
 def test_bad_files(plain_folder, file, text, error, complaint):

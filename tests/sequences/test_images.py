@@ -6,7 +6,7 @@ import pytest
 
 from fvslam_graph.camera import Camera, Distortion
 from fvslam_graph.errors import CameraError, SequenceError
-from fvslam_graph.sequences.images import SAMPLE, ImageFiles, decode, eight_bits
+from fvslam_graph.sequences.images import ImageFiles, decode, eight_bits
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 
