@@ -280,7 +280,7 @@ REFUSED = [
     ),
     (edited(PLAIN, MATRIX, "[25, 0, 16, 0, 25, 12, 0, 0, 0.5]"), "the rows of 'camera_matrix' should be"),
     (edited(PLAIN, MATRIX, "[50, 0, 0, 0, 51, 0, 0, 0, 1]"), r"the principal point \(0, 0\) is not inside"),
-    (edited(PLAIN, MATRIX, "[0.78, 0, 0.49, 0, 0.8, 0.49, 0, 0, 1]"), "a focal length of 0.78 pixels makes images 178"),
+    (edited(PLAIN, MATRIX, "[0.78, 0, 0.49, 0, 0.8, 0.49, 0, 0, 1]"), "a focal length of 0.78 pixels makes images 177"),
     (edited(PLAIN, MATRIX, "[0.1, 0, 31, 0, 0.1, 23, 0, 0, 1]"), "degrees wide: is it in pixels"),
     (edited(PLAIN, MATRIX, "[5000, 0, 31, 0, 5000, 23, 0, 0, 1]"), "degrees wide: is it in pixels"),
     (edited(PLAIN, MATRIX, "[50, 0, 64, 0, 51, 23.5, 0, 0, 1]"), "the principal point"),
