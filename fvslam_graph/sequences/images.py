@@ -48,8 +48,10 @@ def _whole(data: bytes) -> bool:
     """
     if data.startswith(_PNG):
         sides = (int.from_bytes(data[start : start + 4], "big") for start in (16, 20))
-        return _PNG_END in data and max(sides) <= MAX_SIDE
+        return data.rfind(_PNG_END) > 0 and max(sides) <= MAX_SIDE
     if data.startswith(_JPEG):
+        if data.rstrip(b"\0").endswith(b"\xff" + _JPEG_END):
+            return True
         position = len(_JPEG)
         while marker := _JPEG_MARKER.search(data, position):
             if marker[1] == _JPEG_END:

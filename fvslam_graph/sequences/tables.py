@@ -62,10 +62,13 @@ def read_stamps(path: Path) -> NDArray[np.float64]:
 
 def require_increasing(path: Path, stamps: NDArray[np.float64]) -> None:
     """Raises SequenceError where stamps (N,) cannot be seconds that increase, naming the first that does not."""
-    good = np.isfinite(stamps) & (np.diff(stamps, prepend=-np.inf) > MIN_STEP)
+    steps = np.diff(stamps, prepend=-np.inf)
+    good = np.isfinite(stamps) & (steps > MIN_STEP)
     if not np.all(good):
         row = int(np.argmin(good))
         problem = "not later than the one before" if np.isfinite(stamps[row]) else "not a finite number"
+        if 0 < steps[row] <= MIN_STEP:
+            problem = "less than a microsecond later than the one before; are they in the right unit?"
         raise SequenceError(f"{path}: stamp {row + 1} of {len(stamps)} is {problem}")
     if len(stamps) > 1 and not MIN_RATE <= (rate := 1 / float(np.median(np.diff(stamps)))) <= MAX_RATE:
         raise SequenceError(

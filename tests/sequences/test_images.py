@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import cv2
@@ -103,3 +104,99 @@ def test_distortion_is_removed(tmp_path):
     rectified = loader([tmp_path / "dot.png"], camera, "the test")(0).astype(float)
     centre = np.array([np.sum(u * rectified), np.sum(v * rectified)]) / rectified.sum()
     assert np.linalg.norm(centre - wanted) < 0.5  # the dot itself is stretched a little
+
+
+def test_a_jpeg_ends_at_its_marker(tmp_path, gray):
+    """Cameras put data after the end, and a preview with an end of its own before it."""
+    path = tmp_path / "image.jpg"
+    ok, data = cv2.imencode(".jpg", gray)
+    ok_preview, preview = cv2.imencode(".jpg", gray[:16, :16])
+    assert ok and ok_preview
+    data, preview = data.tobytes(), preview.tobytes()
+    exif = b"\xff\xe1" + (len(preview) + 2).to_bytes(2, "big") + preview
+    with_preview = data[:2] + exif + data[2:]
+    for complete in (data, data + b"\n", data + preview[:50], with_preview, with_preview + b"DJI\0\0x"):
+        path.write_bytes(complete)
+        assert gray_of(path).shape == (48, 64)
+    for cut in (with_preview[: len(exif) + 100], with_preview[:-2], with_preview[:-2] + b"DJI"):
+        path.write_bytes(cut)
+        assert gray_of(path) is None
+
+
+def test_a_png_ends_at_its_marker(tmp_path, gray):
+    path = tmp_path / "image.png"
+    cv2.imwrite(str(path), gray)
+    path.write_bytes(path.read_bytes() + b"\nmore")
+    assert np.array_equal(gray_of(path), gray)
+
+
+@pytest.mark.parametrize(("bits", "highest"), [(8, 250), (10, 900), (12, 3552), (14, 9000), (16, 60_000)])
+def test_levels_of_a_camera_are_scaled_by_one_factor(tmp_path, gray, bits, highest):
+    paths = [tmp_path / f"{number}.png" for number in range(3)]
+    levels = (gray.astype(float) / gray.max() * highest).astype(np.uint16)
+    for factor, path in zip((0.5, 1, 0.2), paths, strict=True):
+        cv2.imwrite(str(path), (factor * levels).astype(np.uint16))
+    images = ImageFiles(paths)
+    assert images.depth == bits
+    load = images.loader(CAMERA, "the test")
+    assert np.array_equal(load(1), levels >> (bits - 8))
+    assert np.array_equal(load(0), (0.5 * levels).astype(np.uint16) >> (bits - 8))
+    notes = images.notes(CAMERA)
+    assert len(notes) == (bits < 16)
+    assert all(f"to {highest}: taken as {bits} bits" in note for note in notes)
+
+
+def test_levels_above_those_of_the_sample_are_white(tmp_path, gray, monkeypatch):
+    monkeypatch.setattr("fvslam_graph.sequences.images.SAMPLE", 2)
+    paths = [tmp_path / f"{number}.png" for number in range(3)]
+    for path, factor in zip(paths, (4, 16, 4), strict=True):
+        cv2.imwrite(str(path), gray.astype(np.uint16) * factor)
+    image = loader(paths)(1)
+    assert image.dtype == np.uint8 and np.array_equal(image, np.minimum(4 * gray.astype(int), 255))
+
+
+def test_images_without_levels_that_are_known(tmp_path, gray):
+    for kind in (np.float32, np.int32):
+        cv2.imwrite(str(tmp_path / "0.tif"), gray.astype(kind))
+        with pytest.raises(SequenceError, match=r"none of the 1 images can be decoded, .*8 and 16 bits"):
+            ImageFiles([tmp_path / "0.tif"])
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_colour_and_alpha(tmp_path, gray, channels, kind):
+    cv2.imwrite(str(tmp_path / "0.png"), np.dstack([gray] * channels).astype(kind))
+    assert np.array_equal(loader([tmp_path / "0.png"])(0), gray)
+
+
+def test_the_size_of_most_images_counts(tmp_path, write_images):
+    first = write_images(tmp_path, ["0.png"], (1, 1))
+    others = write_images(tmp_path, [f"{number}.png" for number in range(1, 6)])
+    images = ImageFiles(first + others)
+    assert images.size == (64, 48)
+    load = images.loader(CAMERA, "the test")
+    assert load(0) is None and load(1) is not None
+    assert images.notes(CAMERA) == ("1 of the 6 images looked at are not of 64x48 pixels and left out, such as 0.png",)
+
+
+def test_the_calibrated_size_counts_before_that_of_most(tmp_path, write_images):
+    paths = write_images(tmp_path, ["0.png", "1.png"])
+    paths += write_images(tmp_path, [f"{number}.png" for number in range(2, 7)], (32, 24))
+    images = ImageFiles(paths)
+    load = images.loader(CAMERA, "the test")
+    assert [load(index) is None for index in range(7)] == [False, False, *[True] * 5]
+    assert "5 of the 7 images looked at are not of 64x48 pixels" in images.notes(CAMERA)[0]
+
+
+def test_an_image_that_would_fill_the_memory_is_not_decoded(tmp_path, gray):
+    path = tmp_path / "image.png"
+    cv2.imwrite(str(path), gray)
+    data = bytearray(path.read_bytes())
+    data[16:20] = (20_000).to_bytes(4, "big")
+    path.write_bytes(data)
+    assert gray_of(path) is None
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "0.png")
+    assert gray_of(tmp_path / "0.png") is None

@@ -154,3 +154,9 @@ def test_images_are_read_one_at_a_time(plain_folder, monkeypatch):
     next(frames)
     next(frames)
     assert read[4:] == ["0.png", "1.png"]
+
+
+@pytest.mark.parametrize("path", ["~nobody-of-this-name/flight", "a\0b", "a" * 5000])
+def test_paths_that_cannot_be(path):
+    with pytest.raises(SequenceError, match=r"cannot be read|does not exist"):
+        open_sequence(path)
