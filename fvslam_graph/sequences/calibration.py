@@ -91,14 +91,17 @@ def projection_camera(calibration: CalibrationText, key: str, size: Sequence[flo
 def _matrix(entries: Entries) -> Camera:
     """OpenCV, both forms of ROS, this package: a 3x3 matrix."""
     size = _size(entries)
-    matrix = np.reshape(entries.numbers(*_MATRIX, count=9), (3, 3))
-    for name in ("binning_x", "binning_y"):
-        if entries.has(name) and entries.number(name) > 1:
-            raise CameraError(f"{entries.path}: '{name}' is above 1: give the matrix of the images as they are")
+    key = next(name for name in _MATRIX if entries.has(name))
+    intrinsics = pinhole(entries.path, key, np.reshape(entries.numbers(*_MATRIX, count=9), (3, 3)))
+    binning = [entries.number(name) for name in ("binning_x", "binning_y") if entries.has(name)]
+    region = entries.section("roi") if entries.has("roi") else entries
+    offsets = [region.number(name) for name in ("x_offset", "y_offset") if region.has(name)]
+    if max(binning, default=0) > 1 or any(offsets):
+        raise CameraError(f"{entries.path}: 'binning' and 'roi' are not supported: give the matrix of these images")
     _require_pinhole(entries)
     default = "fisheye" if entries.get("fisheye_model") else ""
     model = str(entries.get(*_MODEL) or default)
-    return make_camera(entries.path, size, pinhole(entries.path, _MATRIX[0], matrix), model, _coefficients(entries))
+    return make_camera(entries.path, size, intrinsics, model, _coefficients(entries))
 
 
 def _list(entries: Entries) -> Camera:
@@ -160,7 +163,7 @@ LAYOUTS = (
         "|avgreprojectionerror|perviewreprojectionerrors|imagepoints|gridpoints|extrinsicparameters"
         "|cameraname|(rectification|projection)matrix|tbs|comment",
     ),
-    Layout("ROS's camera_info", "K", _matrix, "header|r|p|roi"),
+    Layout("ROS's camera_info", "K", _matrix, "header|r|p"),
 )
 
 
