@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -10,6 +11,7 @@ from fvslam_graph.errors import SequenceError
 from fvslam_graph.sequences import euroc, folder, karlsruhe, kitti_odometry, kitti_raw, tum_rgbd, video
 from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.ground import override_ground
+from fvslam_graph.sequences.plausibility import doubts
 
 
 class Format(Protocol):
@@ -74,11 +76,12 @@ def _synthetic(name: str | Path) -> Sequence:
 
 
 def _recorded(path: Path, wanted: str | None) -> Sequence:
-    path = path.expanduser().absolute()
     try:
-        return _find_format(path, wanted).read(path)
-    except OSError as error:  # a folder without permission, a disk that is gone
+        path = path.expanduser().absolute()
+        sequence = _find_format(path, wanted).read(path)
+    except (OSError, RuntimeError) as error:  # a folder without permission, a disk that is gone, nobody's home
         raise SequenceError(f"{path} cannot be read: {error}") from None
+    return replace(sequence, notes=sequence.notes + doubts(sequence.camera))
 
 
 def _find_format(path: Path, wanted: str | None) -> Format:
