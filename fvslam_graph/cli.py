@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from fvslam_graph.config import Config
-    from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.sequences.base import Sequence
     from fvslam_graph.study.declaration import Study
 
@@ -96,24 +95,21 @@ def run(
 
 @app.command()
 def evaluate(
-    estimate: Annotated[Path, typer.Argument(help="Run folder, or a TUM or KITTI file.")],
-    reference: Annotated[Path | None, typer.Option(help="TUM or KITTI file; a run knows its own ground truth.")] = None,
+    estimate: Annotated[Path, typer.Argument(help="Run folder, or a TUM, KITTI or ASL file.")],
+    reference: Annotated[Path | None, typer.Option(help="The same; a run knows its own ground truth.")] = None,
     align: Align = "se3",
+    time_offset: Annotated[
+        float, typer.Option(help="Added to the stamps of the estimate, as evo's --t_offset.", metavar="SECONDS")
+    ] = 0.0,
 ) -> None:
     """Compare a trajectory with a reference: APE, RPE, drift, coverage, consistency."""
     from fvslam_graph.evaluation.report import runs_table, summary_table
-    from fvslam_graph.evaluation.runs import evaluate_files, evaluate_run
+    from fvslam_graph.evaluation.runs import evaluation_of
 
-    alignment = _alignment(align)
-    if not estimate.exists():
-        raise FvslamError(f"{estimate} does not exist; give the folder of a run, or a TUM or KITTI file")
+    evaluation = evaluation_of(estimate, reference, align, time_offset)
     if estimate.is_dir():
-        evaluation = evaluate_run(estimate, reference, alignment)
+        evaluation.write(estimate)
         _show(runs_table([estimate]).rich(across=True))
-    elif reference is None:
-        raise FvslamError(f"{estimate} is a file: give the trajectory to compare it with by --reference")
-    else:
-        evaluation = evaluate_files(estimate, reference, alignment)
     _show(summary_table(evaluation))
 
 
@@ -130,11 +126,12 @@ def plot(
     ] = None,
 ) -> None:
     """Plot trajectories, errors, speed, scale and inliers of one or several runs, as PNG and PDF."""
+    from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.landmark_plots import plot_landmarks
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.run_folder import read_run
 
-    for file in plot_runs([read_run(run) for run in runs], out or runs[0], _alignment(align)):
+    for file in plot_runs([read_run(run) for run in runs], out or runs[0], Alignment(align)):
         typer.echo(file)
     if landmarks is not None:
         for file in plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]):
@@ -305,15 +302,6 @@ def _numbers(text: str) -> list[int]:
         return [int(number) for number in text.split(",")]
     except ValueError:
         raise FvslamError(f"--landmarks takes numbers of frames, as in 10,50, not '{text}'") from None
-
-
-def _alignment(name: str) -> Alignment:
-    from fvslam_graph.evaluation.alignment import Alignment
-
-    try:
-        return Alignment(name)
-    except ValueError:
-        raise FvslamError(f"--align is one of {', '.join(Alignment)}, not '{name}'") from None
 
 
 def main() -> None:

@@ -270,7 +270,7 @@ def test_compare(fvslam, drive, tmp_path):
         (("--external", "orb.tum"), "--external takes NAME=FILE, not 'orb.tum'"),
         (("--set", "vo.inliers=3"), "there is no setting 'vo.inliers'; the nearest is 'vo.min_inliers'"),
         (("--set", "vo.inliers"), "--set takes group.name=value"),
-        (("--align", "sim"), "'align' cannot be 'sim'"),
+        (("--align", "sim"), "the alignment is one of none, origin, se3, sim3, not 'sim'"),
     ],
 )
 def test_a_wrong_comparison_is_one_sentence(fvslam, drive, tmp_path, options, complaint):

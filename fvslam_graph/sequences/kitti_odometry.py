@@ -5,6 +5,7 @@ Geiger, Lenz, Urtasun, "Are we ready for autonomous driving?", CVPR 2012.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.calibration import projection_camera
 from fvslam_graph.sequences.files import first_image, missing_note, numbered_images, only_one, open_images
 from fvslam_graph.sequences.ground import kitti_ground
-from fvslam_graph.sequences.tables import CalibrationText, even_stamps, make_trajectory, read_stamps, require_rows
+from fvslam_graph.sequences.tables import CalibrationText, even_stamps, read_stamps, require_rows
 from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "kitti-odometry"
@@ -72,7 +73,7 @@ def _stamps(path: Path, last: int) -> tuple[NDArray[np.float64], tuple[str, ...]
 def _ground_truth(path: Path, stamps: NDArray[np.float64]) -> tuple[Trajectory | None, tuple[str, ...]]:
     if not path.is_file():
         return None, ()
-    poses = Trajectory.read_kitti(path).poses
-    common = min(len(poses), len(stamps))
-    notes = (f"{path.name} has {len(poses)} poses for {len(stamps)} stamps",) if len(poses) != len(stamps) else ()
-    return make_trajectory(path, stamps[:common], poses[:common]), notes
+    truth = Trajectory.read_kitti(path)
+    notes = (f"{path.name} has {truth.rows} poses for {len(stamps)} stamps",) if truth.rows != len(stamps) else ()
+    truth = truth.between(0, len(stamps) - 1)
+    return replace(truth, stamps=stamps[truth.stamps.astype(int)], rows=None), notes

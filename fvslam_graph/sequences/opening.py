@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -76,9 +77,11 @@ def _synthetic(name: str | Path) -> Sequence:
 def _recorded(path: Path, wanted: str | None) -> Sequence:
     path = path.expanduser().absolute()
     try:
-        return _find_format(path, wanted).read(path)
+        sequence = _find_format(path, wanted).read(path)
     except OSError as error:  # a folder without permission, a disk that is gone
         raise SequenceError(f"{path} cannot be read: {error}") from None
+    truth = sequence.ground_truth
+    return replace(sequence, notes=sequence.notes + truth.notes) if truth else sequence
 
 
 def _find_format(path: Path, wanted: str | None) -> Format:
