@@ -21,11 +21,19 @@ class Distortion(StrEnum):
 
     NONE = "none"
     RADTAN = "radtan"  # k1 k2 p1 p2 [k3], Brown 1966, as OpenCV's main model
+    RATIONAL = "rational"  # k1 k2 p1 p2 k3 k4 k5 k6, the same over a polynomial of k4 k5 k6, as OpenCV's rational model
     EQUIDISTANT = "equidistant"  # k1 k2 k3 k4, Kannala and Brandt 2006, as OpenCV's fisheye model
 
 
 _CONVERGED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)  # of undistortion, which is iterative
-_COEFFICIENTS = {Distortion.NONE: (0,), Distortion.RADTAN: (4, 5), Distortion.EQUIDISTANT: (4,)}
+_COEFFICIENTS = {
+    Distortion.NONE: (0,),
+    Distortion.RADTAN: (4, 5),
+    Distortion.RATIONAL: (8,),
+    Distortion.EQUIDISTANT: (4,),
+}
+
+MIN_SIDE, MAX_SIDE = 16, 10_000  # pixels; the larger keeps the maps of a rectification below a gigabyte
 
 
 @dataclass(frozen=True)
@@ -39,8 +47,8 @@ class Camera:
         coefficients: Its coefficients, dimensionless, in OpenCV's order.
 
     Raises:
-        CameraError: A number is not finite, a size or focal length is not positive, or the count of coefficients
-            does not fit the model.
+        CameraError: A number is not finite, a side is not of 16 to 10,000 pixels, a focal length is not positive, or
+            the count of coefficients does not fit the model.
     """
 
     width: int
@@ -56,8 +64,10 @@ class Camera:
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
         if not np.all(np.isfinite(numbers)):
             raise CameraError(f"the calibration has a number that is not finite: {numbers}")
-        if self.width <= 0 or self.height <= 0:
-            raise CameraError(f"the image size must be positive, not {self.width}x{self.height}")
+        if not all(MIN_SIDE <= side <= MAX_SIDE for side in (self.width, self.height)):
+            raise CameraError(
+                f"the image size must be {MIN_SIDE} to {MAX_SIDE} pixels a side, not {self.width}x{self.height}"
+            )
         if self.fx <= 0 or self.fy <= 0:
             raise CameraError(f"the focal lengths must be positive, not fx={self.fx:g}, fy={self.fy:g}")
         if len(self.coefficients) not in _COEFFICIENTS[self.distortion]:

@@ -157,9 +157,9 @@ def compare(
     workers: Annotated[int, typer.Option(help="Runs at once; with 1, times are undisturbed.", min=1)] = 1,
 ) -> None:
     """Run all modes on a sequence over several seeds, and compare them, also with other systems."""
-    import yaml
-
+    from fvslam_graph.errors import ConfigError
     from fvslam_graph.study.declaration import comparison, default_folder
+    from fvslam_graph.yaml_files import parse_yaml
 
     files = dict(_pair(text, "--external", "NAME=FILE") for text in external or [])
     values = dict(_pair(text, "--set", "group.name=value") for text in settings or [])
@@ -168,7 +168,7 @@ def compare(
         modes.split(","),
         seeds,
         preset,
-        {name: yaml.safe_load(value) for name, value in values.items()},
+        {name: parse_yaml(value, f"the value of '{name}={value}'", ConfigError) for name, value in values.items()},
         files,
         align,
     )

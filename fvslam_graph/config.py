@@ -7,11 +7,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
 
 from fvslam_graph.complaints import complaint
 from fvslam_graph.errors import ConfigError
+from fvslam_graph.yaml_files import parse_yaml, read_yaml_mapping
 
 
 class _Group(BaseModel):
@@ -216,7 +216,7 @@ def load_config(preset: str = "tuned", file: Path | None = None, settings: Seque
     """
     changes: dict[str, Any] = {"preset": preset}
     if file is not None:
-        _merge(changes, _read(file))
+        _merge(changes, read_yaml_mapping(file, ConfigError))
     for setting in settings:
         _merge(changes, _parse(setting))
     values: dict[str, Any] = {}
@@ -231,25 +231,12 @@ def load_config(preset: str = "tuned", file: Path | None = None, settings: Seque
         raise ConfigError(complaint(error, Config, "setting")) from None
 
 
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        content = yaml.safe_load(file.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"{file} cannot be read as settings: {' '.join(str(error).split())}") from None
-    if not isinstance(content, dict):
-        raise ConfigError(f"{file} must hold a mapping of settings, such as 'vo: {{min_inliers: 20}}'")
-    return content
-
-
 def _parse(setting: str) -> dict[str, Any]:
     """`a.b=1` as {"a": {"b": 1}}."""
     name, equals, value = setting.partition("=")
     if not equals:
         raise ConfigError(f"a setting is written group.name=value, not '{setting}'")
-    try:
-        parsed = yaml.safe_load(value)
-    except yaml.YAMLError:
-        raise ConfigError(f"the value of '{setting}' is not valid YAML") from None
+    parsed = parse_yaml(value, f"the value of '{setting}'", ConfigError)
     *groups, last = name.strip().split(".")
     values: dict[str, Any] = {last: parsed}
     for group in reversed(groups):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.errors import TrajectoryError
-from fvslam_graph.trajectory_files import read_rows
+from fvslam_graph.trajectory_files import Layout, read_rows
 
 if TYPE_CHECKING:
     from evo.core.trajectory import PoseTrajectory3D
@@ -125,17 +125,18 @@ class Trajectory:
         path.write_text("".join(kitti_line(pose) for pose in self.poses))
 
     @classmethod
-    def read(cls, path: Path, unfinished: bool = False) -> Trajectory:
+    def read(cls, path: Path, unfinished: bool = False, layout: Layout | None = None) -> Trajectory:
         """Read a file of TUM's, KITTI's or the ASL layout, as `read_rows` recognises it.
 
         Args:
             path: Of the file.
             unfinished: Leave out a last line without its line end: its writer was stopped in the middle.
+            layout: Where it is known.
 
         Raises:
             TrajectoryError: Names the file, and what is wrong with it.
         """
-        rows = read_rows(path, unfinished)
+        rows = read_rows(path, unfinished, layout)
         try:
             if rows.stamps is None:
                 matrices = np.hstack([rows.poses, np.tile([0.0, 0.0, 0.0, 1.0], (len(rows.poses), 1))])

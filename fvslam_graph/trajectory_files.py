@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.errors import TrajectoryError
+from fvslam_graph.text_files import read_text
 
-LARGEST = 500_000_000  # bytes, some million poses
+LARGEST = 200_000_000  # bytes, a million poses and more
 SINCE_1970 = 1e17  # larger stamps are nanoseconds: as seconds, they were older than the universe
 FAR_APART = 1e5  # whole numbers that grow by more from row to row are nanoseconds: as seconds, they were a day apart
 
@@ -44,20 +45,22 @@ class PoseRows:
     notes: tuple[str, ...]
 
 
-def read_rows(path: Path, unfinished: bool = False) -> PoseRows:
+def read_rows(path: Path, unfinished: bool = False, known: Layout | None = None) -> PoseRows:
     """Read a file of any of the layouts; rows with a number that is not finite, as of a lost target, are left out.
 
     Args:
         path: A text file in UTF-8, with or without byte order mark; numbers are set apart by blanks or commas.
         unfinished: Leave out a last line without its line end: its writer was stopped in the middle.
+        known: The layout, where the folder that the file is in tells; else header and numbers tell.
 
     Raises:
         TrajectoryError: It cannot be read, holds no poses, or its rows are none of a known layout.
     """
-    header, lines = _split(_text(path, unfinished))
+    text = read_text(path, TrajectoryError, LARGEST)
+    header, lines = _split(text[: text.rfind("\n") + 1] if unfinished else text)
     if not lines:
         raise TrajectoryError(f"{path} holds no poses: no line begins with a number")
-    layout, notes = _layout(path, header, lines)
+    layout, notes = (known, []) if known and len(_words(lines[0])) >= 8 else _layout(path, header, lines)
     rows = _numbers(path, lines, columns=max(layout.value) + 1)
     finite = np.isfinite(rows).all(axis=1)
     numbers, values = np.flatnonzero(finite), rows[finite]
@@ -75,18 +78,6 @@ def read_rows(path: Path, unfinished: bool = False) -> PoseRows:
         if (latest := np.abs(stamps).max()) > SINCE_1970:
             raise TrajectoryError(f"{path} has the stamp {latest:g}, which is no time in seconds")
     return PoseRows(numbers, len(rows), stamps, values[:, layout.value], tuple(notes))
-
-
-def _text(path: Path, unfinished: bool) -> str:
-    try:
-        if not path.is_file():  # reading a pipe or a device might never end
-            raise TrajectoryError(f"{path} {'is not a file' if path.exists() else 'does not exist'}")
-        if (size := path.stat().st_size) > LARGEST:
-            raise TrajectoryError(f"{path} is no trajectory: it has {size / 1e9:.1f} GB")
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise TrajectoryError(f"{path} cannot be read as a trajectory: {error}") from None
-    return text[: text.rfind("\n") + 1] if unfinished else text
 
 
 def _split(text: str) -> tuple[str, list[str]]:

@@ -83,11 +83,11 @@ def test_a_bad_setting_is_one_sentence(setting, complaint):
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        (b"vo: [1", "cannot be read as settings"),
-        (b"\xff\xfe\x00", "cannot be read as settings"),
-        (b"- 1\n", "must hold a mapping of settings"),
-        (b"", "must hold a mapping of settings"),
-        (b"1: 2\n", "the setting '1' cannot be 1"),
+        (b"vo: [1", "is not valid YAML"),
+        (b"\xff\xfe\x00", "cannot be read as text"),
+        (b"- 1\n", "is not a YAML file of the form"),
+        (b"", "is not a YAML file of the form"),
+        (b"1: 2\n", "there is no setting '1'"),
         (b"vo: {min_inlier: 20}\n", r"the nearest is 'vo\.min_inliers'"),
     ],
 )
@@ -100,5 +100,5 @@ def test_a_bad_file_is_one_sentence(tmp_path, content, complaint):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ConfigError, match=r"absent\.yaml cannot be read as settings"):
+    with pytest.raises(ConfigError, match=r"absent\.yaml is missing"):
         load_config(file=tmp_path / "absent.yaml")

@@ -103,7 +103,7 @@ def test_a_line_that_its_writer_did_not_finish(tmp_path):
         ("0 1 2 3 0 0 0 1e300\n", "a quaternion whose length is not 1"),
         ("0 1 2 nan 0 0 0 1\n1 inf 2 3 0 0 0 1\n", "each of the 2 poses has a number that is not finite"),
         ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n1e300 1 2 3 0 0 0 1\n", "the stamp 1e+300, which is no time in seconds"),
-        ("0 1 2 3 0 0 0 1\x00\n", r"pose 1 is not a row of numbers: '0 1 2 3 0 0 0 1\x00'"),
+        ("0 1 2 3 0 0 0 1\x00\n", "holds NUL bytes"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", "has no stamps: a pose has 12 numbers"),
         ("# t qw qx qy qz x y z\n0 1 0 0 0 1 2 3\n", "puts the quaternion in columns 2 to 5"),
         ("0 1 2 3 0 0 0 1 9\n", "neither a TUM file (8 numbers a line) nor a KITTI file (12): it has 9"),
@@ -150,16 +150,16 @@ def test_files_that_are_none(tmp_path):
     with (tmp_path / "huge.tum").open("wb") as file:
         file.truncate(3 * 10**9)  # takes no space
     for name, complaint in {
-        "absent.tum": "does not exist",
-        ".": "is not a file",
-        "pipe.tum": "is not a file",
-        "/dev/zero": "is not a file",
-        "circle.tum": "does not exist",
-        "image.tum": "cannot be read as a trajectory: 'utf-8' codec can't decode",
-        "utf16.tum": "cannot be read as a trajectory: 'utf-8' codec can't decode",
-        "huge.tum": r"is no trajectory: it has 3\.0 GB",
-        300 * "x": "cannot be read as a trajectory: .*name too long",
-        "\0": "cannot be read as a trajectory: embedded null byte|does not exist",
+        "absent.tum": "is missing",
+        ".": "is a folder",
+        "pipe.tum": "is no regular file",
+        "/dev/zero": "is no regular file",
+        "circle.tum": "is missing|Symlink loop|symbolic links",
+        "image.tum": "cannot be read as text",
+        "utf16.tum": "cannot be read as text",
+        "huge.tum": "has 3000 MB",
+        300 * "x": "cannot be read as text: .*name too long",
+        "\0": "is missing",
     }.items():
         with pytest.raises(TrajectoryError, match=complaint):
             Trajectory.read(tmp_path / name)

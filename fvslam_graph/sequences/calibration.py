@@ -1,113 +1,183 @@
-"""Cameras from calibration files: plain YAML lists, OpenCV's FileStorage, ROS's camera_info, EuRoC, KITTI."""
+"""Cameras from calibration files, each tool's layout told by a key that only it has."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+import gtsam
 import numpy as np
-import yaml
 
-from fvslam_graph.camera import Camera, Distortion
+from fvslam_graph.camera import Camera
 from fvslam_graph.errors import CameraError
-from fvslam_graph.sequences.tables import CalibrationText, read_text
+from fvslam_graph.sequences.entries import Entries
+from fvslam_graph.sequences.plausibility import folds_over, make_camera, pinhole, rigid_pose
+from fvslam_graph.sequences.tables import CalibrationText
 
-_MODELS = {
-    "none": Distortion.NONE,
-    "radtan": Distortion.RADTAN,
-    "radial-tangential": Distortion.RADTAN,  # EuRoC
-    "plumb_bob": Distortion.RADTAN,  # ROS
-    "equidistant": Distortion.EQUIDISTANT,
-    "fisheye": Distortion.EQUIDISTANT,
-}
+_MODEL = ("distortion_model",)
+_COEFFICIENTS = ("distortion_coefficients", "distortion_coeffs", "dist_coeffs", "D")
+_MATRIX = ("camera_matrix", "K")
+_RATE = ("rate", "rate_hz", "fps", "Camera.fps")
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML with OpenCV's matrices, which become mappings with a key `data`."""
+@dataclass(frozen=True)
+class Calibration:
+    """What a calibration file says.
+
+    Attributes:
+        camera: The camera as built.
+        body_T_camera: Where it sits on the vehicle, or on the IMU; None where the file does not say.
+        rate: Images a second; None where the file does not say.
+        notes: Oddities, one sentence each.
+    """
+
+    camera: Camera
+    body_T_camera: gtsam.Pose3 | None = None
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
 
 
-def _matrix(loader: _Loader, _kind: str, node: yaml.MappingNode) -> dict[Hashable, Any]:
-    return loader.construct_mapping(node, deep=True)
+@dataclass(frozen=True)
+class Layout:
+    """How a tool writes calibrations.
+
+    Attributes:
+        tool: Whose layout it is.
+        key: The key that tells it.
+        camera: Reads the camera.
+        others: The keys besides that the tool writes and that do not matter here, as a regular expression over lower
+            case without underscores.
+    """
+
+    tool: str
+    key: str
+    camera: Callable[[Entries], Camera]
+    others: str
 
 
-_Loader.add_multi_constructor("tag:yaml.org,2002:opencv-", _matrix)  # -matrix, and -nd-matrix since OpenCV 5
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """A YAML mapping, its keys in lower case (OpenCV's samples vary); raises CameraError or SequenceError."""
-    # OpenCV writes '%YAML:1.0', which is not the directive that the standard asks for.
-    text = "\n".join(line for line in read_text(path).splitlines() if not line.startswith("%"))
-    try:
-        content = yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
-        raise CameraError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(content, dict):
-        raise CameraError(f"{path} is not a YAML file of the form 'key: value'")
-    return {str(key).lower(): value for key, value in content.items()}
-
-
-def read_camera(path: Path) -> Camera:
-    """A camera from a `camera.yaml`.
-
-    Read are `image_width`, `image_height`, `camera_matrix` (9 numbers, row by row, or a mapping with `data`),
-    `distortion_coefficients` (the same; optional) and `distortion_model`. Without a model, coefficients are taken as
-    radial-tangential, or as equidistant where OpenCV's `fisheye_model` is set.
+def read_calibration(path: Path) -> Calibration:
+    """A calibration in any of the layouts that `LAYOUTS` lists.
 
     Raises:
-        CameraError: The file is not of this form or describes no camera.
+        CameraError: The file is of none of them, lacks something, has a key that is nearly right or describes no
+            camera.
     """
-    content = read_yaml(path)
-    size = numbers(path, content, "image_width", 1) + numbers(path, content, "image_height", 1)
-    fx, _, cx, _, fy, cy, *_ = numbers(path, content, "camera_matrix", 9)
-    coefficients = numbers(path, content, "distortion_coefficients") if "distortion_coefficients" in content else []
-    default = "fisheye" if content.get("fisheye_model") else "radtan" if coefficients else "none"
-    model = content.get("distortion_model") or default
-    return make_camera(path, size, (fx, fy, cx, cy), str(model), coefficients)
-
-
-def make_camera(
-    path: Path, size: Sequence[float], intrinsics: Sequence[float], model: str, coefficients: Sequence[float]
-) -> Camera:
-    """A camera whose errors name the file it comes from.
-
-    Args:
-        path: That file.
-        size: Width, height, pixels.
-        intrinsics: fx, fy, cx, cy, pixels.
-        model: Name of the distortion model, as this package, EuRoC, ROS or OpenCV spell it.
-        coefficients: Its coefficients.
-
-    Raises:
-        CameraError: An unknown model, or numbers that make no camera.
-    """
-    if model.lower() not in _MODELS:
-        raise CameraError(f"{path}: the distortion model '{model}' is not one of {', '.join(_MODELS)}")
-    distortion = _MODELS[model.lower()]
-    if distortion is not Distortion.EQUIDISTANT and not np.any(np.asarray(coefficients, float)):
-        distortion, coefficients = Distortion.NONE, ()
-    fx, fy, cx, cy = map(float, intrinsics)
-    try:
-        return Camera(int(size[0]), int(size[1]), fx, fy, cx, cy, distortion, tuple(map(float, coefficients)))
-    except CameraError as error:
-        raise CameraError(f"{path}: {error}") from None
+    entries = Entries.read(path)
+    layout = next((layout for layout in LAYOUTS if entries.has(layout.key)), None)
+    if layout is None:
+        known = ", ".join(f"'{layout.key}' ({layout.tool})" for layout in LAYOUTS)
+        raise CameraError(f"{path} has none of the keys by which a calibration is known: {known}")
+    if layout.key == "cam0":
+        entries = entries.section("cam0")
+    camera = layout.camera(entries)
+    rate = entries.number(*_RATE) if entries.has(*_RATE) else entries.get(*_RATE)
+    body_T_camera = _body_T_camera(entries)
+    notes: tuple[str, ...] = ()
+    if left := entries.left(layout.others):
+        more = f" and {len(left) - 5} more" if len(left) > 5 else ""
+        notes += (f"{path.name}: not understood and left out: {', '.join(left[:5])}{more}",)
+    if folds_over(camera):
+        notes += (f"{path.name}: the distortion folds the image's margin over; are its coefficients in order?",)
+    return Calibration(camera, body_T_camera, rate, notes)
 
 
 def projection_camera(calibration: CalibrationText, key: str, size: Sequence[float]) -> Camera:
     """The camera of rectified images of `size` (width, height), from a 3x4 projection matrix; raises CameraError."""
-    P = calibration.numbers(key, 3, 4)
-    return make_camera(calibration.path, size, (P[0, 0], P[1, 1], P[0, 2], P[1, 2]), "none", ())
+    intrinsics = pinhole(calibration.path, key, calibration.numbers(key, 3, 4))
+    return make_camera(calibration.path, size, intrinsics, "none", None)
 
 
-def numbers(path: Path, content: dict[str, Any], key: str, count: int | None = None) -> list[float]:
-    """The numbers of one key: a number, a list, a list of rows, or a matrix mapping; raises CameraError."""
-    value = content.get(key.lower())
-    if isinstance(value, dict):
-        value = value.get("data")
-    try:
-        values = np.array(value, float).ravel()
-    except (TypeError, ValueError):
-        values = np.array([np.nan])
-    if value is None or not np.all(np.isfinite(values)) or count not in (None, len(values)):
-        raise CameraError(f"{path}: '{key}' should be {count or 'a list of'} number{'s' * (count != 1)}")
-    return [float(number) for number in values]
+def _matrix(entries: Entries) -> Camera:
+    """OpenCV, both forms of ROS, this package: a 3x3 matrix."""
+    size = _size(entries)
+    matrix = np.reshape(entries.numbers(*_MATRIX, count=9), (3, 3))
+    for name in ("binning_x", "binning_y"):
+        if entries.has(name) and entries.number(name) > 1:
+            raise CameraError(f"{entries.path}: '{name}' is above 1: give the matrix of the images as they are")
+    default = "fisheye" if entries.get("fisheye_model") else ""
+    model = str(entries.get(*_MODEL) or default)
+    return make_camera(entries.path, size, pinhole(entries.path, _MATRIX[0], matrix), model, _coefficients(entries))
+
+
+def _list(entries: Entries) -> Camera:
+    """EuRoC and Kalibr: fx, fy, cx, cy in a list."""
+    kind = str(entries.get("camera_model", default="pinhole"))
+    if kind.lower() != "pinhole":
+        raise CameraError(f"{entries.path}: the camera model '{kind}' is not supported, only 'pinhole' is")
+    intrinsics = entries.numbers("intrinsics", count=4)
+    model = str(entries.get(*_MODEL) or "")
+    return make_camera(entries.path, _size(entries), intrinsics, model, _coefficients(entries))
+
+
+def _vins(entries: Entries) -> Camera:
+    """VINS-Fusion's camera files, which are camodocal's."""
+    kind = str(entries.get("model_type")).upper()
+    inner = entries.section("projection_parameters")
+    if kind == "PINHOLE":
+        lens = entries.section("distortion_parameters")
+        intrinsics = [inner.number(name) for name in ("fx", "fy", "cx", "cy")]
+        coefficients = [lens.number(name) for name in ("k1", "k2", "p1", "p2")]
+        return make_camera(entries.path, _size(entries), intrinsics, "radtan", coefficients)
+    if kind == "KANNALA_BRANDT":
+        intrinsics = [inner.number(name) for name in ("mu", "mv", "u0", "v0")]
+        coefficients = [inner.number(name) for name in ("k2", "k3", "k4", "k5")]
+        return make_camera(entries.path, _size(entries), intrinsics, "equidistant", coefficients)
+    raise CameraError(f"{entries.path}: the model_type should be PINHOLE or KANNALA_BRANDT, not '{kind}'")
+
+
+def _orbslam(entries: Entries) -> Camera:
+    """ORB-SLAM2 (Camera.fx) and ORB-SLAM3 (Camera1.fx)."""
+
+    def names(name: str) -> tuple[str, str]:
+        return f"Camera.{name}", f"Camera1.{name}"
+
+    size = [entries.number(*names(name)) for name in ("width", "height")]
+    intrinsics = [entries.number(*names(name)) for name in ("fx", "fy", "cx", "cy")]
+    kind = str(entries.get("Camera.type", default="PinHole"))
+    if kind.lower() == "kannalabrandt8":
+        model, lens = "equidistant", ["k1", "k2", "k3", "k4"]
+    elif kind.lower() in ("pinhole", "rectified"):
+        given = [name for name in ("k1", "k2", "p1", "p2", "k3") if entries.has(*names(name))]
+        model, lens = ("radtan", ["k1", "k2", "p1", "p2", *given[4:]]) if given else ("none", [])
+    else:
+        raise CameraError(f"{entries.path}: 'Camera.type' should be PinHole or KannalaBrandt8, not '{kind}'")
+    return make_camera(entries.path, size, intrinsics, model, [entries.number(*names(name)) for name in lens])
+
+
+_KALIBR = "camoverlaps|rostopic|tcncnm1|timeshiftcamimu|linedelay"
+_ORBSLAM = r"(?!camera1?\.).*|camera\.(bf|rgb|newwidth|newheight)"
+LAYOUTS = (
+    Layout("Kalibr", "cam0", _list, _KALIBR),
+    Layout("EuRoC", "intrinsics", _list, f"sensortype|comment|{_KALIBR}"),
+    Layout("VINS-Fusion", "projection_parameters", _vins, ".*"),
+    Layout("ORB-SLAM", "Camera.fx", _orbslam, _ORBSLAM),
+    Layout("ORB-SLAM3", "Camera1.fx", _orbslam, _ORBSLAM),
+    Layout(
+        "OpenCV, ROS, this package",
+        "camera_matrix",
+        _matrix,
+        "calibrationtime|nframes|nrofframes|board(width|height)|squaresize|markersize|(fix)?aspectratio|flags"
+        "|avgreprojectionerror|perviewreprojectionerrors|imagepoints|gridpoints|extrinsicparameters"
+        "|cameraname|(rectification|projection)matrix|tbs|comment",
+    ),
+    Layout("ROS's camera_info", "K", _matrix, "header|r|p|roi"),
+)
+
+
+def _size(entries: Entries) -> list[float]:
+    if entries.has("resolution", "image_size"):
+        return entries.numbers("resolution", "image_size", count=2)
+    return [entries.number("image_width", "width"), entries.number("image_height", "height")]
+
+
+def _coefficients(entries: Entries) -> list[float] | None:
+    return entries.numbers(*_COEFFICIENTS) if entries.has(*_COEFFICIENTS) else entries.get(*_COEFFICIENTS)
+
+
+def _body_T_camera(entries: Entries) -> gtsam.Pose3 | None:
+    for key in ("T_BS", "T_imu_cam", "T_cam_imu"):
+        if entries.has(key):
+            pose = rigid_pose(entries.path, key, np.reshape(entries.numbers(key, count=16), (4, 4)))
+            return pose.inverse() if key == "T_cam_imu" else pose
+    return None

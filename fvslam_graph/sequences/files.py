@@ -1,113 +1,86 @@
-"""Image files of a recording: found by name, decoded one at a time."""
+"""Files of a recording: which there are, in which order, what time their names tell, and words for notes on them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from decimal import Decimal
 from pathlib import Path
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Distortion, Image, Rectifier
-from fvslam_graph.errors import CameraError, SequenceError
+from fvslam_graph.errors import SequenceError
+from fvslam_graph.sequences.tables import require_increasing
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp", ".tif", ".tiff", ".webp"}
+MAX_NUMBER = 9_999_999  # of an image; more is a stamp
+LISTED = 10  # runs of numbers that are listed
+EPOCH = (946_684_800, 4_102_444_800)  # seconds since 1970 of the years 2000 and 2100
+UNITS = {"seconds": 1, "milliseconds": 10**3, "microseconds": 10**6, "nanoseconds": 10**9}
 
 _DIGITS_OR_TEXT = re.compile(r"(\d+)|(\D+)")
-
-# What a file of this kind begins and ends with. Some decoders fill the rest of a truncated image with gray and say
-# nothing, so a file without its end is not decoded at all.
-_SIGNATURES = ((b"\x89PNG", b"IEND\xaeB`\x82"), (b"\xff\xd8", b"\xff\xd9"))
-
-
-def read_gray(path: Path) -> Image | None:
-    """An image file as (H, W) uint8; None where it is missing, truncated or cannot be decoded.
-
-    Colour becomes luma. Of 16 bits the upper 8 are kept, the same in every image, so that brightness stays comparable.
-    """
-    try:
-        data = path.read_bytes()
-        ending = next((end for start, end in _SIGNATURES if data.startswith(start)), b"")
-        if not data.rstrip(b"\0").endswith(ending):  # some recorders pad their files with zeros
-            return None
-        image: Image | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
-    except (OSError, cv2.error):
-        return None
-    return image
-
-
-def first_image(paths: Sequence[Path | None]) -> tuple[Path, Image]:
-    """The first image that can be decoded, with its path; raises SequenceError where there is none."""
-    files = [path for path in paths if path is not None]
-    for path in files:
-        if (image := read_gray(path)) is not None:
-            return path, image
-    if not files:
-        raise SequenceError("the recording lists no images")
-    raise SequenceError(f"none of the {len(files)} images can be decoded, the first is {files[0]}")
-
-
-def open_images(
-    paths: Sequence[Path | None], camera: Camera, calibration: Path | str, rectifier: Rectifier | None = None
-) -> Callable[[int], Image | None]:
-    """A function that reads image i: decoded, of the right size, rectified; None where it is unusable.
-
-    Args:
-        paths: One file per frame; None where a frame has none.
-        camera: The camera as built, which made the files.
-        calibration: Where the camera comes from, for the error message.
-        rectifier: How to rectify; where not given, distortion is removed and the calibration matrix stays.
-
-    Raises:
-        CameraError: The first image is not of the calibrated size.
-        SequenceError: No image can be decoded.
-    """
-    size = (camera.height, camera.width)
-    path, image = first_image(paths)
-    if image.shape != size:
-        raise CameraError(
-            f"{path} is {image.shape[1]}x{image.shape[0]} pixels, but {calibration} is for "
-            f"{camera.width}x{camera.height}"
-        )
-    if rectifier is None and camera.distortion is not Distortion.NONE:
-        rectifier = Rectifier(camera, camera.undistorted())
-
-    def load(index: int) -> Image | None:
-        path = paths[index]
-        image = None if path is None else read_gray(path)
-        if image is None or image.shape != size:
-            return None
-        return image if rectifier is None else rectifier(image)
-
-    return load
+_NUMBER = re.compile(r"(.*?)(\d+(?:\.\d+)?)")
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The images in a folder in natural order: 2.png comes before 10.png."""
-    files = (
+    """The images in a folder in natural order: 2.png comes before 10.png, and 1.05.png before 1.1.png."""
+    files = [
         path
         for path in folder.iterdir()
         if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
-    )
+    ]
+    values = _decimals(files)
+    if values is not None:
+        return sorted(files, key=lambda path: (values[path], path.name))
     return sorted(
         files, key=lambda path: [(int(digits or -1), text) for digits, text in _DIGITS_OR_TEXT.findall(path.name)]
     )
 
 
+def stamps_in_names(files: Sequence[Path]) -> tuple[NDArray[np.float64], str] | None:
+    """Seconds since 1970, (N,), that the names of all files tell, and the unit that they do it in; None if not."""
+    values = _decimals(files)
+    for name, unit in UNITS.items():
+        if values and all(EPOCH[0] <= value / unit <= EPOCH[1] for value in values.values()):
+            stamps = np.array([float(values[path] / unit) for path in files])
+            try:
+                require_increasing(files[0].parent, stamps)
+            except SequenceError:
+                return None
+            return stamps, name
+    return None
+
+
+def _decimals(files: Sequence[Path]) -> dict[Path, Decimal] | None:
+    """The decimal that each name ends with, if that is what they are: chapters 1.9, 1.10 and dates are not."""
+    matches = [_NUMBER.fullmatch(path.stem) for path in files]
+    if not all(matches) or len({match[1] for match in matches if match}) != 1:
+        return None
+    numbers = [match[2] for match in matches if match]
+    fractions = [number.partition(".")[2] for number in numbers]
+    # A decimal that is not padded to the length of the others does not end in zero, but for 1.0.
+    if len(set(map(len, fractions))) > 1 and any(len(text) > 1 and text.endswith("0") for text in fractions):
+        return None
+    return {path: Decimal(number) for path, number in zip(files, numbers, strict=True)}
+
+
 def numbered_images(folder: Path, prefix: str = "") -> dict[int, Path]:
-    """The images named `prefix` and a number, by number and in its order; raises SequenceError where there is none."""
+    """The images named `prefix` and a number, by number and in its order.
+
+    Raises:
+        SequenceError: There is none, or a number that is too large for one.
+    """
     name = re.compile(re.escape(prefix) + r"(\d+)")
     files = {int(match[1]): path for path in image_files(folder) if (match := name.fullmatch(path.stem))}
     if not files:
         raise SequenceError(f"{folder} holds no images named {prefix}000000.png, {prefix}000001.png, ...")
+    if max(files) > MAX_NUMBER:
+        raise SequenceError(
+            f"{folder}: images should be numbered {prefix}000000.png, {prefix}000001.png, ...; "
+            f"{files[max(files)].name} is no such number"
+        )
     return dict(sorted(files.items()))
-
-
-def missing_note(paths: Sequence[Path | None]) -> tuple[str, ...]:
-    """A note on the frames without a file, or none."""
-    missing = [index for index, path in enumerate(paths) if path is None or not path.is_file()]
-    return (f"{count_of(len(missing), 'image')} missing: frame {ranges(missing)}",) if missing else ()
 
 
 def count_of(number: int, noun: str) -> str:
@@ -116,14 +89,15 @@ def count_of(number: int, noun: str) -> str:
 
 
 def ranges(numbers: Sequence[int]) -> str:
-    """Increasing numbers for the eye: [1, 2, 3, 7] is `1-3, 7`."""
+    """Increasing numbers for the eye: [1, 2, 3, 7] is `1-3, 7`; the first ten runs of many."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][-1] + 1:
             runs[-1][1:] = [number]
         else:
             runs.append([number])
-    return ", ".join("-".join(map(str, run)) for run in runs)
+    listed = ", ".join("-".join(map(str, run)) for run in runs[:LISTED])
+    return listed + (f" and {len(runs) - LISTED} more such" if len(runs) > LISTED else "")
 
 
 def only_one(folder: Path, found: Sequence[Path], noun: str) -> Path:

@@ -10,10 +10,18 @@ from numpy.typing import NDArray
 
 from fvslam_graph.errors import SequenceError
 from fvslam_graph.sequences.base import Ground, Sequence
-from fvslam_graph.sequences.calibration import numbers, read_camera, read_yaml
-from fvslam_graph.sequences.files import image_files, missing_note, open_images
+from fvslam_graph.sequences.calibration import read_calibration
+from fvslam_graph.sequences.files import count_of, image_files, stamps_in_names
 from fvslam_graph.sequences.ground import UAV_TILT, level_ground
-from fvslam_graph.sequences.tables import even_stamps, read_table, require_increasing, to_numbers
+from fvslam_graph.sequences.images import ImageFiles
+from fvslam_graph.sequences.tables import (
+    MAX_RATE,
+    MIN_RATE,
+    even_stamps,
+    read_table,
+    require_increasing,
+    to_numbers,
+)
 from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "folder"
@@ -32,42 +40,51 @@ def read(path: Path) -> Sequence:
 
     `times.csv` has a header and the columns `filename`, `timestamp_s` and, optionally, `height_m`: the camera's height
     above the ground in metres. Without it the images are taken in natural order, `rate` of them a second as
-    `camera.yaml` says.
+    `camera.yaml` says, or where it does not, at the stamps that their names are.
     """
-    calibration = path / "camera.yaml"
-    camera = read_camera(calibration)
+    source = path / "camera.yaml"
+    calibration = read_calibration(source)
+    camera = calibration.camera
     times = path / "times.csv"
     ground = None
-    if times.is_file():
-        paths, stamps, ground = _listed(times)
-        notes = missing_note(paths)
+    if times.exists():
+        paths, stamps, ground, notes = _listed(times)
     else:
         paths = image_files(path / "images")
         if not paths:
             raise SequenceError(f"{path / 'images'} holds no images")
-        content = read_yaml(calibration)
-        rate = numbers(calibration, content, "rate", 1)[0] if "rate" in content else DEFAULT_RATE
-        if rate <= 0:
-            raise SequenceError(f"{calibration}: the rate must be positive, not {rate:g}")
-        stamps = even_stamps(len(paths), rate)
-        source = "as camera.yaml says" if "rate" in content else "assumed"
-        notes = (f"times.csv is missing, the rate is {rate:g} Hz, {source}",)
+        if calibration.rate is not None and not MIN_RATE <= calibration.rate <= MAX_RATE:
+            raise SequenceError(
+                f"{source}: the rate must be {MIN_RATE:g} to {MAX_RATE:g} images a second, not {calibration.rate:g}"
+            )
+        stamps, note = _unlisted(paths, calibration.rate)
+        notes = (f"times.csv is missing, {note}",)
 
+    images = ImageFiles(paths)
     truth = path / "groundtruth.tum"
     return Sequence(
         name=path.name,
         format=FORMAT,
         camera=camera.undistorted(),
         stamps=stamps,
-        load=open_images(paths, camera, calibration),
+        load=images.loader(camera, source),
         ground_truth=Trajectory.read_tum(truth) if truth.is_file() else None,
         ground=ground,
-        notes=notes,
+        notes=notes + calibration.notes + images.notes(camera),
     )
 
 
-def _listed(times: Path) -> tuple[list[Path], NDArray[np.float64], Ground | None]:
-    """Images, stamps and heights as `times.csv` lists them."""
+def _unlisted(paths: list[Path], rate: float | None) -> tuple[NDArray[np.float64], str]:
+    """Stamps, (N,) seconds, and where they come from."""
+    if rate is None and (told := stamps_in_names(paths)) is not None:
+        return told[0], f"the images' names are taken as stamps in {told[1]}"
+    source = "assumed" if rate is None else "as camera.yaml says"
+    rate = rate or DEFAULT_RATE
+    return even_stamps(len(paths), rate), f"the rate is {rate:g} Hz, {source}"
+
+
+def _listed(times: Path) -> tuple[list[Path], NDArray[np.float64], Ground | None, tuple[str, ...]]:
+    """Images, stamps and heights as `times.csv` lists them, and notes."""
     header, *rows = read_table(times, ",") or [[]]
     if "filename" not in header or "timestamp_s" not in header or not rows:
         raise SequenceError(f"{times} should have a header with filename and timestamp_s, and a row for each image")
@@ -80,14 +97,27 @@ def _listed(times: Path) -> tuple[list[Path], NDArray[np.float64], Ground | None
     stamps = to_numbers(times, [[stamp] for stamp in columns["timestamp_s"]])[:, 0]
     require_increasing(times, stamps)
     heights = to_numbers(times, [[height or "nan"] for height in columns.get("height_m", ())]).ravel()
-    return paths, stamps, _altimeter(heights)
+    return paths, stamps, *_altimeter(times, heights)
 
 
-def _altimeter(heights: NDArray[np.float64]) -> Ground | None:
-    """The ground as a height reading knows it: no better than its smallest step, and not nearer than that."""
+def _altimeter(times: Path, heights: NDArray[np.float64]) -> tuple[Ground | None, tuple[str, ...]]:
+    """The ground as a height reading knows it, no better than its smallest step and not nearer than that, and notes.
+
+    Raises:
+        SequenceError: Most heights are below zero.
+    """
     known = np.unique(heights[np.isfinite(heights)])
     if not len(known):
-        return None
+        return None, ()
+    below = int(np.sum(heights < 0))
+    if 2 * below > np.isfinite(heights).sum():
+        raise SequenceError(
+            f"{times}: {below} of {len(heights)} heights are below zero; height_m is metres above the ground, upwards"
+        )
     resolution = round(float(np.diff(known).min()), 6) if len(known) > 1 else 0.0
-    ground = level_ground(np.maximum(heights, resolution), UAV_TILT, "times.csv height_m")
-    return replace(ground, height_sigma=resolution)
+    if resolution == known[-1] == 0:
+        return None, (f"{times.name}: height_m is zero throughout, and is not used",)
+    notes = (f"{count_of(below, 'height')} below zero, taken as {resolution:g} m",) if below else ()
+    above = np.where(np.isfinite(heights), np.maximum(heights, resolution), np.nan)
+    ground = level_ground(above, UAV_TILT, "times.csv height_m")
+    return replace(ground, height_sigma=resolution), notes

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from fvslam_graph.errors import TrajectoryError
 from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.calibration import projection_camera
-from fvslam_graph.sequences.files import first_image, missing_note, numbered_images, open_images
+from fvslam_graph.sequences.files import numbered_images
+from fvslam_graph.sequences.images import ImageFiles
 from fvslam_graph.sequences.oxts import mercator
 from fvslam_graph.sequences.tables import (
     CalibrationText,
@@ -45,25 +46,24 @@ def read(path: Path) -> Sequence:
     """Open a folder; stamps are seconds since the first image."""
     files = numbered_images(path, "I1_")
     indices = range(min(files), max(files) + 1)
-    paths = [files.get(index) for index in indices]
+    images = ImageFiles([files.get(index) for index in indices])
     ground_truth = None
-    stamps = even_stamps(len(paths), RATE)
+    stamps = even_stamps(len(indices), RATE)
     notes: tuple[str, ...] = ("insdata.txt is missing, 10 Hz is assumed",)
     if (path / "insdata.txt").is_file():
         ground_truth, notes = _ins_data(path / "insdata.txt", indices)
         stamps = ground_truth.stamps[indices.start : indices.stop]
 
     calibration = CalibrationText(path / "calib.txt")
-    height, width = first_image(paths)[1].shape
-    camera = projection_camera(calibration, "P1_roi", (width, height))
+    camera = projection_camera(calibration, "P1_roi", images.size)
     return Sequence(
         name=path.name,
         format=FORMAT,
         camera=camera,
         stamps=stamps,
-        load=open_images(paths, camera, calibration.path),
+        load=images.loader(camera, calibration.path),
         ground_truth=ground_truth,
-        notes=notes + missing_note(paths),
+        notes=notes + images.notes(camera),
     )
 
 

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera, Rectifier
 from fvslam_graph.sequences.base import Sequence
-from fvslam_graph.sequences.calibration import make_camera, projection_camera
-from fvslam_graph.sequences.files import count_of, numbered_images, only_one, open_images, ranges
+from fvslam_graph.sequences.calibration import projection_camera
+from fvslam_graph.sequences.files import count_of, numbered_images, only_one, ranges
 from fvslam_graph.sequences.ground import kitti_ground
+from fvslam_graph.sequences.images import ImageFiles
 from fvslam_graph.sequences.oxts import packet_poses, read_packets, read_timestamps, seconds_since
+from fvslam_graph.sequences.plausibility import make_camera, pinhole, require_rotation, rigid_pose
 from fvslam_graph.sequences.tables import (
     CalibrationText,
     even_stamps,
@@ -24,7 +26,7 @@ from fvslam_graph.sequences.tables import (
     require_increasing,
     require_rows,
 )
-from fvslam_graph.trajectory import Trajectory, pose_from_matrix
+from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "kitti-raw"
 LAYOUT = "image_00/data/ of a drive, or a date's folder with calib_cam_to_cam.txt and a drive"
@@ -48,6 +50,7 @@ def read(path: Path) -> Sequence:
 
     folder = drive / f"image_{which}"
     files = numbered_images(folder / "data")
+    images = ImageFiles(list(files.values()))
     numbers = np.array(list(files))
     origin, stamps, notes = _stamps(folder / "timestamps.txt", numbers)
     lost = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(files))
@@ -60,10 +63,14 @@ def read(path: Path) -> Sequence:
     camera = projection_camera(calibration, f"P_rect_{which}", calibration.numbers(f"S_rect_{which}", 2).tolist())
     if drive.name.endswith("_extract"):
         recorded = _recorded_camera(calibration, which)
-        rectifier = Rectifier(recorded, camera, calibration.numbers(f"R_rect_{which}", 3, 3))
-        load = open_images(list(files.values()), recorded, calibration.path, rectifier)
+        key = f"R_rect_{which}"
+        rotation = require_rotation(calibration.path, key, calibration.numbers(key, 3, 3))
+        rectifier = Rectifier(recorded, camera, rotation)
+        load = images.loader(recorded, calibration.path, rectifier)
+        notes += images.notes(recorded)
     else:
-        load = open_images(list(files.values()), camera, calibration.path)
+        load = images.loader(camera, calibration.path)
+        notes += images.notes(camera)
 
     camera_T_reference = _camera_T_reference(calibration, which)
     ground_truth, truth_notes = _ground_truth(drive, camera_T_reference, origin, stamps)
@@ -101,7 +108,7 @@ def _recorded_camera(calibration: CalibrationText, which: str) -> Camera:
     """The camera as built."""
     K = calibration.numbers(f"K_{which}", 3, 3)
     size, coefficients = calibration.numbers(f"S_{which}", 2), calibration.numbers(f"D_{which}", 5)
-    intrinsics = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+    intrinsics = pinhole(calibration.path, f"K_{which}", K)
     return make_camera(calibration.path, size.tolist(), intrinsics, "radtan", coefficients.tolist())
 
 
@@ -110,7 +117,8 @@ def _camera_T_reference(calibration: CalibrationText, which: str) -> gtsam.Pose3
     P = calibration.numbers(f"P_rect_{which}", 3, 4)
     # P = K [I | t]: t takes points of the rectified camera 00 to this one, a shift along the stereo baseline.
     shift = np.linalg.solve(P[:, :3], P[:, 3])
-    return gtsam.Pose3(gtsam.Rot3.ClosestTo(calibration.numbers("R_rect_00", 3, 3)), shift)
+    rotation = require_rotation(calibration.path, "R_rect_00", calibration.numbers("R_rect_00", 3, 3))
+    return gtsam.Pose3(gtsam.Rot3.ClosestTo(rotation), shift)
 
 
 def _ground_truth(
@@ -168,4 +176,4 @@ def _by_number(numbers: list[int], stamps: NDArray[np.float64]) -> NDArray[np.fl
 def _rigid(path: Path) -> gtsam.Pose3:
     calibration = CalibrationText(path)
     R, T = calibration.numbers("R", 3, 3), calibration.numbers("T", 3, 1)
-    return pose_from_matrix(np.hstack([R, T]))
+    return rigid_pose(path, "R", np.hstack([R, T]))

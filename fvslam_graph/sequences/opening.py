@@ -11,6 +11,7 @@ from fvslam_graph.errors import SequenceError
 from fvslam_graph.sequences import euroc, folder, karlsruhe, kitti_odometry, kitti_raw, tum_rgbd, video
 from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.ground import override_ground
+from fvslam_graph.sequences.plausibility import doubts
 
 
 class Format(Protocol):
@@ -75,13 +76,13 @@ def _synthetic(name: str | Path) -> Sequence:
 
 
 def _recorded(path: Path, wanted: str | None) -> Sequence:
-    path = path.expanduser().absolute()
     try:
+        path = path.expanduser().absolute()
         sequence = _find_format(path, wanted).read(path)
-    except OSError as error:  # a folder without permission, a disk that is gone
+    except (OSError, RuntimeError) as error:  # a folder without permission, a disk that is gone, nobody's home
         raise SequenceError(f"{path} cannot be read: {error}") from None
-    truth = sequence.ground_truth
-    return replace(sequence, notes=sequence.notes + truth.notes) if truth else sequence
+    left_out = sequence.ground_truth.notes if sequence.ground_truth else ()
+    return replace(sequence, notes=sequence.notes + doubts(sequence.camera) + left_out)
 
 
 def _find_format(path: Path, wanted: str | None) -> Format:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.errors import SequenceError, TrajectoryError
-from fvslam_graph.sequences.tables import read_text
+from fvslam_graph.text_files import read_text
 
 _TIME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d(\.\d{1,9})?")
 
@@ -37,8 +37,8 @@ def read_packets(files: list[Path]) -> NDArray[np.float64]:
     packets = []
     for file in files:
         try:
-            packet = [float(word) for word in file.read_text().split()[:6]]
-        except (OSError, UnicodeDecodeError, ValueError):
+            packet = [float(word) for word in read_text(file, TrajectoryError).split()[:6]]
+        except (TrajectoryError, ValueError):
             packet = []
         if len(packet) != 6 or not np.all(np.isfinite(packet)):
             raise TrajectoryError(f"{file} is not an OXTS packet: it should begin with six finite numbers")
@@ -63,7 +63,7 @@ def read_timestamps(path: Path) -> NDArray[np.datetime64]:
     Raises:
         SequenceError: The file cannot be read or a line is not a time.
     """
-    lines = [line.strip() for line in read_text(path).rstrip().splitlines()]
+    lines = [line.strip() for line in read_text(path, SequenceError).rstrip().splitlines()]
     for number, line in enumerate(lines, 1):
         if line and not _TIME.fullmatch(line):
             raise SequenceError(f"{path}: line {number} is not a date and time: '{line[:60]}'")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,23 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.errors import CameraError, SequenceError, TrajectoryError
+from fvslam_graph.text_files import read_text
 from fvslam_graph.trajectory import Trajectory
 
-
-def read_text(path: Path) -> str:
-    """The text of a file; raises SequenceError where it is missing or no text."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise SequenceError(f"{path} is missing") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SequenceError(f"{path} cannot be read as text: {error}") from None
+MIN_STEP = 1e-6  # seconds; stamps since 1970 are held to a quarter of that
+MIN_RATE, MAX_RATE = 0.1, 1e4  # frames a second, by the median
 
 
 def read_table(path: Path, separator: str | None = None) -> list[list[str]]:
     """The words of each line, without empty lines and `#` comments; raises SequenceError."""
-    lines = (line.strip() for line in read_text(path).splitlines())
+    lines = (line.strip() for line in read_text(path, SequenceError).splitlines())
     return [[word.strip() for word in line.split(separator)] for line in lines if line and not line.startswith("#")]
+
+
+def read_listing(path: Path, columns: Sequence[int]) -> list[list[str]]:
+    """The rows of a list of images: stamp, file name, with spaces or commas between, under a line of titles or none.
+
+    Raises:
+        SequenceError: There are none, or a row has another number of words than `columns` allow.
+    """
+    rows = [[word for word in re.split(r"[,;\s]+", " ".join(row)) if word] for row in read_table(path)]
+    if rows and not re.match(r"[-+.\d]", rows[0][0]) and "stamp" in rows[0][0].lower():
+        rows = rows[1:]
+    if not rows or any(len(row) not in columns for row in rows):
+        raise SequenceError(f"{path} should list the images as rows of time stamp and file name")
+    return rows
 
 
 def to_numbers(path: Path, rows: Sequence[Sequence[str]]) -> NDArray[np.float64]:
@@ -52,12 +61,20 @@ def read_stamps(path: Path) -> NDArray[np.float64]:
 
 
 def require_increasing(path: Path, stamps: NDArray[np.float64]) -> None:
-    """Raises SequenceError naming the first stamp that is not finite or not later than the one before."""
-    good = np.isfinite(stamps) & (np.diff(stamps, prepend=-np.inf) > 0)
+    """Raises SequenceError where stamps (N,) cannot be seconds that increase, naming the first that does not."""
+    steps = np.diff(stamps, prepend=-np.inf)
+    good = np.isfinite(stamps) & (steps > MIN_STEP)
     if not np.all(good):
         row = int(np.argmin(good))
         problem = "not later than the one before" if np.isfinite(stamps[row]) else "not a finite number"
+        if 0 < steps[row] <= MIN_STEP:
+            problem = "less than a microsecond later than the one before; are they in the right unit?"
         raise SequenceError(f"{path}: stamp {row + 1} of {len(stamps)} is {problem}")
+    if len(stamps) > 1 and not MIN_RATE <= (rate := 1 / float(np.median(np.diff(stamps)))) <= MAX_RATE:
+        raise SequenceError(
+            f"{path}: the stamps make {rate:.3g} frames a second, {MIN_RATE:g} to {MAX_RATE:g} are possible: "
+            "are they in the right unit?"
+        )
 
 
 def even_stamps(frames: int, rate: float) -> NDArray[np.float64]:
@@ -88,7 +105,7 @@ class CalibrationText:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.entries: dict[str, NDArray[np.float64]] = {}
-        for line in read_text(path).splitlines():
+        for line in read_text(path, SequenceError).splitlines():
             key, _, words = line.partition(":")
             try:
                 self.entries[key.strip()] = np.array(words.split(), float)

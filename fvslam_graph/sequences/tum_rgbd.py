@@ -8,11 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from fvslam_graph.camera import Camera, Distortion
-from fvslam_graph.errors import CameraError, SequenceError
+from fvslam_graph.errors import CameraError
 from fvslam_graph.sequences.base import Sequence
-from fvslam_graph.sequences.calibration import read_camera
-from fvslam_graph.sequences.files import missing_note, open_images
-from fvslam_graph.sequences.tables import read_table, require_increasing, to_numbers
+from fvslam_graph.sequences.calibration import Calibration, read_calibration
+from fvslam_graph.sequences.images import ImageFiles
+from fvslam_graph.sequences.tables import read_listing, require_increasing, to_numbers
 from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "tum-rgbd"
@@ -38,34 +38,39 @@ def matches(path: Path) -> bool:
 def read(path: Path) -> Sequence:
     """Open a recording; its calibration is that of its `camera.yaml`, or the published one of its name."""
     listing = path / "rgb.txt"
-    rows = read_table(listing)
-    if not rows or any(len(row) != 2 for row in rows):
-        raise SequenceError(f"{listing} should list the images as rows of time stamp and file name")
-    paths = [path / name for _, name in rows]
-    stamps = to_numbers(listing, [row[:1] for row in rows])[:, 0]
+    rows = [_colour(row) for row in read_listing(listing, (2, 4))]
+    stamps = to_numbers(listing, [[stamp] for stamp, _ in rows])[:, 0]
     require_increasing(listing, stamps)
+    images = ImageFiles([path / name for _, name in rows])
 
-    calibration, camera = _camera(path)
+    source, calibration = _calibration(path)
+    camera = calibration.camera
     truth = path / "groundtruth.txt"
     return Sequence(
         name=path.name,
         format=FORMAT,
         camera=camera.undistorted(),
         stamps=stamps,
-        load=open_images(paths, camera, calibration),
+        load=images.loader(camera, source),
         ground_truth=Trajectory.read_tum(truth) if truth.is_file() else None,
-        notes=missing_note(paths),
+        notes=calibration.notes + images.notes(camera),
     )
 
 
-def _camera(path: Path) -> tuple[Path | str, Camera]:
-    """Where the camera comes from, and the camera."""
+def _colour(row: list[str]) -> tuple[str, str]:
+    """Stamp and file of the colour image of a row, in which the benchmark's associate.py may have put a depth image."""
+    stamp, file = row[2:] if len(row) == 4 and row[3].startswith("rgb") else row[:2]
+    return stamp, file
+
+
+def _calibration(path: Path) -> tuple[Path | str, Calibration]:
+    """Where the calibration comes from, and the calibration."""
     own = path / "camera.yaml"
-    if own.is_file():
-        return own, read_camera(own)
+    if own.exists():
+        return own, read_calibration(own)
     for name, camera in CAMERAS.items():
         if name in str(path).lower():
-            return f"the published calibration of {name}", camera
+            return f"the published calibration of {name}", Calibration(camera)
     raise CameraError(
         f"{path} has no camera.yaml, and its name does not say whose calibration to take ({', '.join(CAMERAS)})"
     )

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera, Distortion, Image, Rectifier
 from fvslam_graph.errors import CameraError, SequenceError
 from fvslam_graph.sequences.base import Sequence
-from fvslam_graph.sequences.calibration import read_camera
-from fvslam_graph.sequences.tables import even_stamps
+from fvslam_graph.sequences.calibration import read_calibration
+from fvslam_graph.sequences.tables import MAX_RATE, MIN_RATE, MIN_STEP, even_stamps
 
 FORMAT = "video"
 LAYOUT = "a video file with a .yaml of the same name or a camera.yaml beside it"
 
 SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg"}
 DEFAULT_RATE = 30.0  # Hz
-MAX_SKIP = 100  # frames: a short way forward is read through, as a seek decodes from the last key frame anyway
+UNSTEADY = 0.003  # seconds between two steps from which on a note says so; some files hold milliseconds
 
 
 def matches(path: Path) -> bool:
@@ -27,38 +29,57 @@ def matches(path: Path) -> bool:
 
 
 def read(path: Path) -> Sequence:
-    """Open a video; stamps are counted from its frame rate."""
+    """Open a video; stamps are those that its frames are decoded with."""
     candidates = [path.with_suffix(".yaml"), path.parent / "camera.yaml"]
-    calibration = next((file for file in candidates if file.is_file()), None)
-    if calibration is None:
+    source = next((file for file in candidates if file.exists()), None)
+    if source is None:
         raise CameraError(f"{path} has no calibration beside it: write {candidates[0].name} or {candidates[1].name}")
-    camera = read_camera(calibration)
+    calibration = read_calibration(source)
+    camera = calibration.camera
     video = Video(path, camera)
     if video.size != (camera.width, camera.height):
         raise CameraError(
-            f"{path} is {video.size[0]}x{video.size[1]} pixels, but {calibration} is for {camera.width}x{camera.height}"
+            f"{path} is {video.size[0]}x{video.size[1]} pixels, but {source} is for {camera.width}x{camera.height}"
         )
-    known = 0 < video.rate < np.inf
+    stamps, notes = _stamps(video, calibration.rate)
     return Sequence(
         name=path.stem,
         format=FORMAT,
         camera=camera.undistorted(),
-        stamps=even_stamps(video.frames, video.rate if known else DEFAULT_RATE),
+        stamps=stamps,
         load=video.load,
-        notes=() if known else (f"the video has no frame rate, {DEFAULT_RATE:g} Hz is assumed",),
+        notes=calibration.notes + notes,
+    )
+
+
+def _stamps(video: Video, given: float | None) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Seconds of each frame, and notes; where the decoder knows none, evenly spaced ones."""
+    steps = np.diff(video.stamps)
+    if np.all(steps > MIN_STEP) and (not len(steps) or MIN_RATE <= 1 / np.median(steps) <= MAX_RATE):
+        if len(steps) and np.ptp(steps) > UNSTEADY:
+            low, high = 1000 * steps.min(), 1000 * steps.max()
+            return video.stamps, (f"the frame rate varies: {low:.0f} to {high:.0f} ms between frames",)
+        return video.stamps, ()
+    known = next((rate for rate in (given, video.rate) if rate and MIN_RATE <= rate <= MAX_RATE), None)
+    rate = known or DEFAULT_RATE
+    return even_stamps(len(video.stamps), rate), (
+        f"the video has no times of its frames, {rate:g} Hz is {'taken' if known else 'assumed'}",
     )
 
 
 class Video:
-    """A video file that is kept open and read on, as seeking for every frame would decode each many times.
+    """A video file that is kept open and read on; a frame behind is reached from the start.
+
+    There is no seeking: where the frame rate varies, or a file has no index, it ends at other frames than asked for.
 
     Args:
         path: The file.
         camera: The camera as built; where it has distortion, frames are rectified.
 
     Attributes:
-        frames: How many there are; counted where the file does not say, as one that was cut off does not.
-        rate: Frames a second, as the file says; 0 where it does not.
+        stamps: (N,) seconds since the first frame, as decoded: what the header says of their number and rate may be
+            wrong.
+        rate: Frames a second, as the header says; 0 where it does not.
         size: Width, height of the first frame, pixels.
 
     Raises:
@@ -74,11 +95,8 @@ class Video:
             raise SequenceError(f"{path} cannot be decoded as a video")
         self.size = (first.shape[1], first.shape[0])
         self.rate = float(self._capture.get(cv2.CAP_PROP_FPS))
-        self.frames = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        if self.frames < 1:
-            while self._capture.grab():
-                self._next += 1
-            self.frames = self._next
+        status = path.stat()
+        self.stamps = _decoded_stamps(path, status.st_size, status.st_mtime_ns)
         self._rectifier = None if camera.distortion is Distortion.NONE else Rectifier(camera, camera.undistorted())
 
     def load(self, index: int) -> Image | None:
@@ -89,12 +107,9 @@ class Video:
         return image if self._rectifier is None else self._rectifier(image)
 
     def _read(self, index: int) -> Image | None:
-        if index < self._next:  # opened anew, as a file without an index cannot seek back
+        if index < self._next:
             self._capture = cv2.VideoCapture(str(self._path))
             self._next = 0
-        if index > self._next + MAX_SKIP:
-            self._capture.set(cv2.CAP_PROP_POS_FRAMES, index)
-            self._next = index
         while self._next < index and self._capture.grab():
             self._next += 1
         if self._next < index:  # the file ends before
@@ -105,3 +120,13 @@ class Video:
             return None
         gray: Image = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         return gray
+
+
+@lru_cache(maxsize=16)
+def _decoded_stamps(path: Path, _size: int, _changed: int) -> NDArray[np.float64]:
+    """Seconds of all frames, (N,), by decoding the whole file, which is remembered while it does not change."""
+    capture = cv2.VideoCapture(str(path))
+    stamps: list[float] = []
+    while capture.grab():
+        stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+    return np.array(stamps, float) - stamps[:1]

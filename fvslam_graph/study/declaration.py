@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import yaml
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from fvslam_graph.complaints import complaint
@@ -16,6 +15,7 @@ from fvslam_graph.config import Mode, load_config
 from fvslam_graph.errors import ConfigError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study.job import Job, Source, words
+from fvslam_graph.yaml_files import read_yaml_mapping
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -115,12 +115,7 @@ def load_study(file: Path) -> Study:
     Raises:
         StudyError: The file cannot be read, a name is unknown or a value is not possible.
     """
-    try:
-        content = yaml.safe_load(file.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise StudyError(f"{file} cannot be read as a study: {' '.join(str(error).split())}") from None
-    if not isinstance(content, dict):
-        raise StudyError(f"{file} must hold a mapping, such as 'sequences: [synthetic:uav]'")
+    content = read_yaml_mapping(file, StudyError)
 
     def below(path: str) -> str:
         return str(file.parent / Path(path).expanduser())

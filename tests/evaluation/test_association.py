@@ -58,7 +58,7 @@ def test_files_are_recognised(tmp_path, make_run) -> None:
     (tmp_path / "c.txt").write_text("# comment\n1 2 3\n")
     with pytest.raises(TrajectoryError, match=r"c\.txt is neither .* it has 3"):
         load_trajectory(tmp_path / "c.txt")
-    with pytest.raises(TrajectoryError, match=r"absent\.txt does not exist"):
+    with pytest.raises(TrajectoryError, match=r"absent\.txt is missing"):
         load_trajectory(tmp_path / "absent.txt")
     with pytest.raises(ResultsError, match="not the folder of a run"):
         load_trajectory(tmp_path)

@@ -88,15 +88,19 @@ def test_without_ground_truth_and_with_a_lost_image(recording):
             CameraError,
             r"is 64x48 pixels, but .*sensor\.yaml is for 752x480",
         ),
-        ("cam0/sensor.yaml", "T_BS", "T_SB", CameraError, r"sensor\.yaml: 'T_BS' should be 16 numbers"),
+        ("cam0/sensor.yaml", "T_BS", "T_SB", CameraError, r"sensor\.yaml has neither 'T_BS' nor"),
         ("cam0/data.csv", f"{START}.png", f"{START}.png,x", SequenceError, r"data\.csv should list the images"),
         ("cam0/data.csv", f"{START},", f"{START}.5,", SequenceError, r"data\.csv has a time stamp that is not whole"),
         ("cam0/data.csv", f"{START},", f"{START + 10**9},", SequenceError, r"data\.csv: stamp 2 of 3 is not later"),
-        ("state_groundtruth_estimate0/data.csv", "1,2,3,1,0", "1,nan,3,1,0", TrajectoryError, r"data\.csv: .*finite"),
-        ("state_groundtruth_estimate0/data.csv", "1,2,3,1,0", "1,2,3,nan,0", TrajectoryError, r"data\.csv: .*finite"),
-        ("state_groundtruth_estimate0/data.csv", "1,2,3,1,0", "1,2,3,2,0", TrajectoryError, "row 1 is not of length 1"),
-        ("state_groundtruth_estimate0/data.csv", f"{START},", "9" * 18 + "0,", TrajectoryError, "not later"),
-        ("state_groundtruth_estimate0/data.csv", TRUTH[0], "1,2", TrajectoryError, "should have rows of time stamp"),
+        (
+            "state_groundtruth_estimate0/data.csv",
+            "1,2,3,1,0",
+            "1,2,3,2,0",
+            TrajectoryError,
+            "length is not 1",
+        ),
+        ("state_groundtruth_estimate0/data.csv", f"{START},", "2" * 19 + ",", TrajectoryError, "not later"),
+        ("state_groundtruth_estimate0/data.csv", TRUTH[0], "1,2", TrajectoryError, "neither a TUM file"),
     ],
 )
 def test_bad_files(recording, file, old, new, error, complaint):
@@ -120,3 +124,73 @@ def test_real_recording(real_data):
     assert sequence.frame(29).image.shape == (480, 752)
     # The vehicle stands still; the truth is the estimate of a filter, which creeps a little.
     assert 1e-4 < np.ptp(sequence.ground_truth.positions, axis=0).max() < 0.01
+
+
+CAMCHAIN = """\
+cam0:
+  T_cam_imu:
+  - [0.0, -1.0, 0.0, 0.0]
+  - [0.0, 0.0, -1.0, 0.0]
+  - [1.0, 0.0, 0.0, -0.1]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [0.0034, 0.0007, -0.002, 0.0002]
+  distortion_model: equidistant
+  intrinsics: [50.0, 51.0, 31.5, 23.5]
+  resolution: [64, 48]
+  rostopic: /cam0/image_raw
+"""
+
+
+@pytest.mark.parametrize("with_sensor", [True, False])
+def test_tum_vi(recording, with_sensor):
+    """The same camera on the same body, as TUM-VI publishes it: the motion capture has been brought to the IMU."""
+    mav = recording / "mav0"
+    (mav / "state_groundtruth_estimate0").rename(mav / "mocap0")
+    truth = mav / "mocap0" / "data.csv"
+    truth.write_text("\n".join(row.removesuffix(",9,9,9") for row in ["#timestamp [ns], p_RS_R_x [m]", *TRUTH]))
+    (recording / "dso").mkdir()
+    (recording / "dso" / "camchain.yaml").write_text(CAMCHAIN)
+    if not with_sensor:
+        (mav / "cam0" / "sensor.yaml").unlink()
+    sequence = open_sequence(recording)
+    np.testing.assert_allclose(sequence.ground_truth.positions, [[1.1, 2, 3], [1, 2.1, 3]], atol=1e-7)
+    np.testing.assert_allclose(sequence.ground_truth.matrices[0, :3, 2], [1, 0, 0], atol=1e-7)
+    assert sequence.notes == () and sequence.load(0).shape == (48, 64)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("-1.0, 0.0, 0.0, 0.0,", "0.0, 0.0, 0.0, 0.0,", "the rotation of 'T_BS' is none"),
+        ("-1.0, 0.0, 0.0, 0.0,", "1.0, 0.0, 0.0, 0.0,", "the rotation of 'T_BS' is none"),
+        ("0.0, 0.0, 0.0, 1.0]", "0.1, 0.0, 0.0, 1.0]", "the last row of 'T_BS' should be 0 0 0 1"),
+        ("0.0, 0.0, 1.0, 0.1,", "0.0, 0.0, 1.0,", "'T_BS' should be 16 numbers"),
+    ],
+)
+def test_where_the_camera_cannot_be(recording, old, new, complaint):
+    assert old in SENSOR
+    (recording / "mav0" / "cam0" / "sensor.yaml").write_text(SENSOR.replace(old, new))
+    with pytest.raises(CameraError, match=rf"sensor\.yaml: {complaint}"):
+        open_sequence(recording)
+
+
+def test_seconds_and_huge_numbers_are_no_nanoseconds(recording):
+    listing = recording / "mav0" / "cam0" / "data.csv"
+    rows = listing.read_text().splitlines()[1:]
+    listing.write_text("".join(f"{number},{row.split(',')[1]}\n" for number, row in enumerate(rows)))
+    with pytest.raises(
+        SequenceError, match=r"data\.csv: stamp 2 of 3 is less than a microsecond later than the one before"
+    ):
+        open_sequence(recording)
+    listing.write_text(f"{'9' * 400},{rows[0].split(',')[1]}\n")
+    with pytest.raises(SequenceError, match=r"data\.csv has a time stamp that is not whole nanoseconds"):
+        open_sequence(recording)
+
+
+def test_poses_that_are_unknown_are_left_out_with_a_note(recording):
+    truth = recording / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    truth.write_text(truth.read_text().replace(",1,2,3,1,0", ",1,nan,3,1,0"))
+    sequence = open_sequence(recording)
+    assert sequence.ground_truth.positions == pytest.approx(np.array([[1, 2.1, 3]]))
+    assert "data.csv: 1 of 2 poses have a number that is not finite and are left out" in sequence.notes

@@ -1,62 +1,8 @@
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera, Distortion
-from fvslam_graph.errors import CameraError, SequenceError
-from fvslam_graph.sequences.files import first_image, image_files, numbered_images, open_images, ranges, read_gray
-
-CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
-
-
-@pytest.fixture
-def gray():
-    return cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (48, 64), np.uint8), (0, 0), 2)
-
-
-@pytest.mark.parametrize("suffix", [".png", ".pgm", ".bmp", ".tif"])
-def test_gray_images_are_read_exactly(tmp_path, gray, suffix):
-    path = tmp_path / f"image{suffix}"
-    cv2.imwrite(str(path), gray)
-    assert np.array_equal(read_gray(path), gray)
-
-
-def test_sixteen_bits_keep_the_upper_eight(tmp_path, gray):
-    cv2.imwrite(str(tmp_path / "deep.png"), gray.astype(np.uint16) * 256 + 77)
-    assert np.array_equal(read_gray(tmp_path / "deep.png"), gray)
-
-
-def test_colour_becomes_luma(tmp_path):
-    cv2.imwrite(str(tmp_path / "green.png"), np.full((48, 64, 3), (0, 100, 0), np.uint8))
-    image = read_gray(tmp_path / "green.png")
-    assert image.shape == (48, 64) and image.dtype == np.uint8
-    assert np.all(np.abs(image.astype(int) - 59) <= 1)  # 0.587 * 100
-
-
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".pgm"])
-@pytest.mark.parametrize("kept", [0.0, 0.5, 0.99])
-def test_truncated_images_are_unreadable(tmp_path, gray, suffix, kept):
-    path = tmp_path / f"image{suffix}"
-    cv2.imwrite(str(path), gray)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(kept * len(data))])
-    assert read_gray(path) is None
-
-
-def test_padded_images_are_read(tmp_path, gray):
-    path = tmp_path / "image.jpg"
-    cv2.imwrite(str(path), gray)
-    path.write_bytes(path.read_bytes() + bytes(100))
-    assert read_gray(path) is not None
-
-
-def test_no_image_and_no_file_are_unreadable(tmp_path):
-    (tmp_path / "text.png").write_text("this is no image")
-    assert read_gray(tmp_path / "text.png") is None
-    assert read_gray(tmp_path / "absent.png") is None
-    assert read_gray(tmp_path) is None
+from fvslam_graph.errors import SequenceError
+from fvslam_graph.sequences.files import image_files, numbered_images, ranges, stamps_in_names
 
 
 def test_natural_order_without_hidden_and_other_files(tmp_path, write_images):
@@ -72,43 +18,50 @@ def test_numbered_images(tmp_path, write_images):
         numbered_images(tmp_path)
 
 
-def test_size_mismatch_names_both_sizes(tmp_path, write_images):
-    paths = write_images(tmp_path, ["0.png", "1.png"], (32, 24))
-    with pytest.raises(CameraError, match=r"0\.png is 32x24 pixels, but calib\.txt is for 64x48"):
-        open_images(paths, CAMERA, Path("calib.txt"))
-
-
-def test_nothing_decodable_is_an_error(tmp_path):
-    (tmp_path / "0.png").write_text("no image")
-    with pytest.raises(SequenceError, match=r"none of the 2 images can be decoded, the first is .*0\.png"):
-        first_image([tmp_path / "0.png", None, tmp_path / "1.png"])
-
-
-def test_frames_are_read_when_asked_for_and_bad_ones_are_none(tmp_path, write_images):
-    paths = write_images(tmp_path, ["0.png", "1.png", "2.png"])
-    write_images(tmp_path, ["other.png"], (32, 24))
-    load = open_images([None, *paths, tmp_path / "other.png"], CAMERA, "the test")
-    assert load(0) is None
-    assert [int(load(i)[0, 0]) for i in (3, 1, 2)] == [20, 0, 10]
-    assert load(4) is None
-    paths[1].unlink()
-    assert load(2) is None
-
-
-def test_distortion_is_removed(tmp_path):
-    # A bright dot where the distorted camera sees a point must come to where the ideal camera sees it.
-    camera = Camera(320, 240, 200.0, 200.0, 159.5, 119.5, Distortion.RADTAN, (-0.3, 0.1, 0.0, 0.0))
-    point = np.array([[0.5, 0.3, 1.0]])
-    seen, wanted = camera.project(point)[0], camera.undistorted().project(point)[0]
-    assert np.linalg.norm(seen - wanted) > 5
-    v, u = np.mgrid[:240, :320]
-    image = 255 * np.exp(-((u - seen[0]) ** 2 + (v - seen[1]) ** 2) / 18)
-    cv2.imwrite(str(tmp_path / "dot.png"), image.astype(np.uint8))
-    rectified = open_images([tmp_path / "dot.png"], camera, "the test")(0).astype(float)
-    centre = np.array([np.sum(u * rectified), np.sum(v * rectified)]) / rectified.sum()
-    assert np.linalg.norm(centre - wanted) < 0.5  # the dot itself is stretched a little
-
-
 @pytest.mark.parametrize(("numbers", "text"), [([], ""), ([4], "4"), ([1, 2, 3, 7, 9, 10], "1-3, 7, 9-10")])
 def test_ranges(numbers, text):
     assert ranges(numbers) == text
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["1305031102.0", "1305031102.05", "1305031102.1", "1305031102.15", "1305031102.2"],
+        ["f_9.5", "f_10", "f_10.25", "f_10.3"],
+        ["shot1.8", "shot1.9", "shot1.10", "shot1.11"],
+        ["1-2", "1-10", "2-1"],
+    ],
+)
+def test_order_of_decimals_and_of_numbers(tmp_path, write_images, names):
+    write_images(tmp_path, [f"{name}.png" for name in reversed(names)])
+    assert [path.stem for path in image_files(tmp_path)] == names
+
+
+@pytest.mark.parametrize(
+    ("names", "unit"),
+    [
+        (["1305031102.0", "1305031102.05", "1305031102.1"], "seconds"),
+        (["1305031102000", "1305031102050", "1305031102100"], "milliseconds"),
+        (["cam_1305031102000000", "cam_1305031102050000", "cam_1305031102100000"], "microseconds"),
+        (["1305031102000000000", "1305031102050000000", "1305031102100000000"], "nanoseconds"),
+        (["000000", "000001", "000002"], None),
+        (["1305031102000", "1305031102050", "9905031102100"], None),
+        (["1305031102000", "1305031202050", "1305031302100"], None),  # every 100 seconds
+        (["a1305031102000", "b1305031102050"], None),
+    ],
+)
+def test_stamps_that_are_names(tmp_path, names, unit):
+    told = stamps_in_names([tmp_path / f"{name}.png" for name in names])
+    assert (told and told[1]) == unit
+    if told:
+        np.testing.assert_allclose(told[0] - told[0][0], [0, 0.05, 0.1], atol=1e-6)
+
+
+def test_a_stamp_is_no_number_of_an_image(tmp_path, write_images):
+    write_images(tmp_path, ["000000.png", "1403715273262142976.png"])
+    with pytest.raises(SequenceError, match=r"images should be numbered .* 1403715273262142976\.png is no such number"):
+        numbered_images(tmp_path)
+
+
+def test_many_ranges_are_cut():
+    assert ranges(range(0, 40, 2)) == "0, 2, 4, 6, 8, 10, 12, 14, 16, 18 and 10 more such"

@@ -115,3 +115,43 @@ def test_real_sequence(real_data):
     assert (sequence.name, len(sequence), len(sequence.ground_truth)) == ("kitti_03", 350, 350)
     assert sequence.frame(349).image.shape == (375, 1242)
     assert 246 < sequence.ground_truth.path_length < 247
+
+
+def test_colour_images_alone(sequence_folder):
+    """The right colour camera sits half a metre to the right of camera 0; where the car turns, it goes another way."""
+    (sequence_folder / "image_0").rename(sequence_folder / "image_3")
+    (sequence_folder / "calib.txt").write_text(P0 + "P3: 60 0 31.5 -30 0 60 23.5 0 0 0 1 0\n")
+    poses = sequence_folder.parent.parent / "poses" / "07.txt"
+    poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n0 0 1 0 0 1 0 0 -1 0 0 5\n" * 5)
+    sequence = open_sequence(sequence_folder)
+    assert sequence.camera.fx == 60 and sequence.notes == ("image_0 is missing, image_3 is used",)
+    # Camera 0 goes five metres ahead and turns right; what was to its right is behind.
+    np.testing.assert_allclose(sequence.ground_truth.positions[:2], [[0, 0, 0], [-0.5, 0, 4.5]], atol=1e-12)
+    np.testing.assert_allclose(sequence.ground_truth.matrices[1, :3, :3], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    assert open_sequence(sequence_folder.parent.parent).name == "kitti_07"
+
+
+def test_the_first_image_does_not_decide(sequence_folder, write_images):
+    write_images(sequence_folder / "image_0", ["000000.png"], (1, 1))
+    sequence = open_sequence(sequence_folder)
+    assert (sequence.camera.width, sequence.camera.height) == (64, 48)
+    assert [frame.image is None for frame in sequence] == [True, *[False] * 9]
+    assert sequence.notes == ("1 of the 10 images looked at are not of 64x48 pixels and left out, such as 000000.png",)
+    write_images(sequence_folder / "image_0", [f"{number:06d}.png" for number in range(10)], (1, 1))
+    with pytest.raises(CameraError, match=r"calib\.txt: the image size must be 16 to 10000 pixels a side, not 1x1"):
+        open_sequence(sequence_folder)
+
+
+@pytest.mark.parametrize(
+    ("row", "complaint"),
+    [
+        ("50 0 0 0 0 50 0 0 31.5 23.5 1 0", "the rows of 'P0' should be fx 0 cx; 0 fy cy; 0 0 1"),
+        ("50 0 31.5 0 0 50 23.5 0 0 0 0 1", "the rows of 'P0' should be"),
+        ("1 0 0.5 0 0 1 0.5 0 0 0 1 0", "is it in pixels"),
+        ("50 0 100 0 0 50 23.5 0 0 0 1 0", "the principal point"),
+    ],
+)
+def test_matrices_of_no_camera(sequence_folder, row, complaint):
+    (sequence_folder / "calib.txt").write_text(f"P0: {row}\n")
+    with pytest.raises(CameraError, match=rf"calib\.txt: .*{complaint}"):
+        open_sequence(sequence_folder)

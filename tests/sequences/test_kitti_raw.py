@@ -298,3 +298,22 @@ def test_real_packets_have_truer_stamps_than_the_images(real_data):
         return np.sqrt(np.mean((steps / np.diff(stamps) - middle) ** 2))
 
     assert error(sequence.ground_truth.stamps) < 0.1 < 0.3 < error(sequence.stamps)  # 0.06 and 0.46 m/s measured
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "complaint"),
+    [
+        ("calib_velo_to_cam.txt", "0 -1 0 0 0 -1 1 0 0", "0 0 0 0 0 0 0 0 0", "the rotation of 'R' is none"),
+        ("calib_velo_to_cam.txt", "0 -1 0 0 0 -1 1 0 0", "0 1 0 0 0 -1 1 0 0", "the rotation of 'R' is none"),
+        ("calib_imu_to_velo.txt", "1 0 0 0 1 0 0 0 1", "2 0 0 0 2 0 0 0 2", "the rotation of 'R' is none"),
+        ("calib_cam_to_cam.txt", "R_rect_00: 1 0 0", "R_rect_00: 0 0 0", "the rotation of 'R_rect_00' is none"),
+        ("calib_cam_to_cam.txt", "23.5 0 0 0 1 0\nS_rect_01", "23.5 0 0 0 0 0\nS_rect_01", "the rows of 'P_rect_00'"),
+    ],
+)
+def test_extrinsics_that_are_none(drive, file, old, new, complaint):
+    path = drive.parent / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(CameraError, match=rf"{file}: .*{complaint}"):
+        open_sequence(drive)

@@ -7,6 +7,7 @@ import pytest
 
 from fvslam_graph.camera import Distortion
 from fvslam_graph.errors import SequenceError
+from fvslam_graph.sequences import images
 from fvslam_graph.sequences.opening import FORMATS, open_sequence
 
 
@@ -144,11 +145,18 @@ def test_synthetic_worlds_are_opened_by_name_and_take_the_same_options(plain_fol
 
 def test_images_are_read_one_at_a_time(plain_folder, monkeypatch):
     read = []
-    original = sys.modules["fvslam_graph.sequences.files"].read_gray
-    monkeypatch.setattr("fvslam_graph.sequences.files.read_gray", lambda path: read.append(path.name) or original(path))
+    original = images.decode
+    monkeypatch.setattr(images, "decode", lambda path: read.append(path.name) or original(path))
+    monkeypatch.setattr(images, "SAMPLE", 4)
     sequence = open_sequence(plain_folder)
-    assert read == ["0.png"]  # only the first, for its size
+    assert read == ["0.png", "3.png", "6.png", "9.png"]
     frames = iter(sequence)
     next(frames)
     next(frames)
-    assert read == ["0.png", "0.png", "1.png"]
+    assert read[4:] == ["0.png", "1.png"]
+
+
+@pytest.mark.parametrize("path", ["~nobody-of-this-name/flight", "a\0b", "a" * 5000])
+def test_paths_that_cannot_be(path):
+    with pytest.raises(SequenceError, match=r"cannot be read|does not exist"):
+        open_sequence(path)

@@ -46,7 +46,7 @@ def test_unknown_camera(recording):
 
 
 def test_size_mismatch_names_the_published_calibration(recording, write_images):
-    write_images(recording / "rgb", [f"{STAMPS[0]:.6f}.png"])
+    write_images(recording / "rgb", [f"{stamp:.6f}.png" for stamp in STAMPS])
     with pytest.raises(CameraError, match="is 64x48 pixels, but the published calibration of freiburg2 is for 640x480"):
         open_sequence(recording)
 
@@ -64,4 +64,28 @@ def test_size_mismatch_names_the_published_calibration(recording, write_images):
 def test_bad_files(recording, file, text, error, complaint):
     (recording / file).write_text(text)
     with pytest.raises(error, match=complaint):
+        open_sequence(recording)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "{stamp:.6f},rgb/{stamp:.6f}.png",
+        "{stamp:.6f} rgb/{stamp:.6f}.png {stamp:.6f} depth/{stamp:.6f}.png",
+        "5.0 depth/{stamp:.6f}.png {stamp:.6f} rgb/{stamp:.6f}.png",
+        "{stamp:.6f};\trgb/{stamp:.6f}.png",
+    ],
+)
+@pytest.mark.parametrize("titles", ["", "# timestamp filename\n", "timestamp,filename\n"])
+def test_lists_with_commas_and_with_depth_images(recording, form, titles):
+    rows = [form.format(stamp=stamp) for stamp in STAMPS]
+    (recording / "rgb.txt").write_text(titles + "\n".join(rows))
+    sequence = open_sequence(recording)
+    np.testing.assert_allclose(sequence.stamps, STAMPS, rtol=0, atol=1e-6)
+    assert sequence.notes == () and sequence.load(2) is not None
+
+
+def test_a_list_that_was_not_written(recording):
+    (recording / "rgb.txt").write_bytes(b"1305031102.1 rgb/a\0b.png\n")
+    with pytest.raises(SequenceError, match=r"rgb\.txt cannot be read as text: it holds NUL bytes"):
         open_sequence(recording)

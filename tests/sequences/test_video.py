@@ -6,7 +6,7 @@ import pytest
 
 from fvslam_graph.errors import CameraError, SequenceError
 from fvslam_graph.sequences.opening import open_sequence
-from fvslam_graph.sequences.video import MAX_SKIP, read
+from fvslam_graph.sequences.video import read
 
 FRAMES = 240
 CAMERA = "image_width: 64\nimage_height: 48\ncamera_matrix: [50, 0, 31.5, 0, 50, 23.5, 0, 0, 1]\n"
@@ -50,8 +50,37 @@ def test_frames_in_order(flight):
 
 def test_frames_in_any_order(flight):
     load = open_sequence(flight).load
-    order = [5, 6, 9, 2, 9 + MAX_SKIP, 9 + MAX_SKIP + 1, 0, FRAMES - 1, 3, MAX_SKIP + 50]
+    order = [5, 6, 9, 2, 109, 110, 0, FRAMES - 1, 3, 150]
     assert [number_of(load(number)) for number in order] == order
+
+
+def unsteady(data: bytes) -> bytes:
+    """The mp4 file with half the time between frames in its first half: another table of times for the one it has."""
+    start, following = data.index(b"stts") - 4, data.index(b"stss") - 4
+    end = following + int.from_bytes(data[following : following + 4], "big")
+    count, step = (int.from_bytes(data[at : at + 4], "big") for at in (start + 16, start + 20))
+    assert following == start + 24 and count == FRAMES
+    numbers = (32, 2, FRAMES // 2, step // 2, FRAMES // 2, step)
+    size, entries, *table = (number.to_bytes(4, "big") for number in numbers)
+    times = size + b"stts" + bytes(4) + entries + b"".join(table)
+    filler = (end - start - len(times)).to_bytes(4, "big") + b"free"
+    return data[:start] + (times + filler).ljust(end - start, b"\0") + data[end:]
+
+
+def test_where_the_rate_varies_frames_have_the_times_of_the_decoder(flight):
+    flight.write_bytes(unsteady(flight.read_bytes()))
+    sequence = open_sequence(flight)
+    half = FRAMES // 2
+    np.testing.assert_allclose(sequence.stamps, [*0.02 * np.arange(half), *half * 0.02 + 0.04 * np.arange(half)])
+    assert sequence.notes == ("the frame rate varies: 20 to 40 ms between frames",)
+    for start in (0, 90, 150, 200, FRAMES - 1):
+        assert number_of(open_sequence(flight, frames=f"{start}:").load(0)) == start
+
+
+def test_a_file_that_has_changed_is_decoded_again(flight):
+    open_sequence(flight)
+    flight.write_bytes(unsteady(flight.read_bytes()) + b"\0" * 8)
+    assert open_sequence(flight).stamps[1] == pytest.approx(0.02)
 
 
 def test_slices_and_strides(flight):

@@ -69,8 +69,8 @@ def test_what_is_not_said():
         ("sequences: [a]\nseeds: [-1]", "the entry 'seeds.0' cannot be -1"),
         ("sequences: [a]\nalign: sim", "the entry 'align' cannot be 'sim'"),
         ("sequences: [a]\nexternal: {b: {DSO: f}}", "'b' is none of the sequences a"),
-        ("- 1", "must hold a mapping"),
-        ("a: [", "cannot be read as a study"),
+        ("- 1", "is not a YAML file of the form"),
+        ("a: [", "is not valid YAML"),
     ],
 )
 def test_a_wrong_declaration_is_one_sentence(tmp_path, text, complaint):
@@ -83,7 +83,7 @@ def test_a_wrong_declaration_is_one_sentence(tmp_path, text, complaint):
 
 
 def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(StudyError, match="cannot be read as a study"):
+    with pytest.raises(StudyError, match=r"absent\.yaml is missing"):
         load_study(tmp_path / "absent.yaml")
 
 

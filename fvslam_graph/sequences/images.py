@@ -1,0 +1,158 @@
+"""Images of a recording: a few looked at on opening, each decoded when it is asked for."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import MAX_SIDE, Camera, Distortion, Image, Rectifier
+from fvslam_graph.errors import CameraError, SequenceError
+from fvslam_graph.sequences.files import count_of, ranges
+
+SAMPLE = 10  # images that are looked at on opening, spread over the recording
+DEPTHS = (8, 10, 12, 14, 16)  # bits that cameras have
+
+_PNG, _PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
+_JPEG, _JPEG_END = b"\xff\xd8", b"\xd9"
+_JPEG_MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])")  # apart from those within the compressed data
+
+Levels = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+def decode(path: Path) -> Levels | None:
+    """The gray levels of an image file, (H, W), in the depth that it has; None where there are none to read.
+
+    Colour becomes luma. Floating-point and 32-bit levels have no scale that is known, and are not read.
+    """
+    try:
+        data = path.read_bytes() if path.is_file() else b""  # a pipe would wait for ever
+        if not _whole(data):
+            return None
+        levels: Levels | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    except (OSError, cv2.error):
+        return None
+    return levels if levels is not None and levels.dtype in (np.uint8, np.uint16) else None
+
+
+def _whole(data: bytes) -> bool:
+    """Whether an image file goes on to its end, where its format tells, and has a size that can be held in memory.
+
+    Decoders fill the rest of a truncated image with gray and say nothing. What comes after the end does not matter:
+    cameras add previews, recorders add zeros.
+    """
+    if data.startswith(_PNG):
+        sides = (int.from_bytes(data[start : start + 4], "big") for start in (16, 20))
+        return data.rfind(_PNG_END) > 0 and max(sides) <= MAX_SIDE
+    if data.startswith(_JPEG):
+        if data.rstrip(b"\0").endswith(b"\xff" + _JPEG_END):
+            return True
+        position = len(_JPEG)
+        while marker := _JPEG_MARKER.search(data, position):
+            if marker[1] == _JPEG_END:
+                return True
+            position = marker.end() + int.from_bytes(data[marker.end() : marker.end() + 2], "big")  # its segment
+        return False
+    return bool(data)
+
+
+def eight_bits(levels: Levels, depth: int) -> Image:
+    """Gray levels as (H, W) uint8; of 16 bits, `depth` are used, of which the upper 8 are kept."""
+    if levels.dtype == np.uint8:
+        return np.asarray(levels, np.uint8)
+    return np.asarray(np.minimum(levels >> (depth - 8), 255), np.uint8)
+
+
+class ImageFiles:
+    """The image files of a recording, of which a few are looked at.
+
+    Args:
+        paths: One file per frame; None where a frame has none.
+
+    Attributes:
+        size: Width, height of most of them, pixels.
+        depth: Bits that those of 16 bits use, the same in every image, so that brightness stays comparable.
+
+    Raises:
+        SequenceError: No image can be decoded.
+    """
+
+    def __init__(self, paths: Sequence[Path | None]) -> None:
+        self._paths = paths
+        files = [path for path in paths if path is not None]
+        if not files:
+            raise SequenceError("the recording lists no images")
+        chosen = sorted(set(np.linspace(0, len(files) - 1, SAMPLE).round().astype(int).tolist()))
+        levels = {file: decode(file) for file in (files[index] for index in chosen)}
+        if all(image is None for image in levels.values()):
+            file, image = next(((file, image) for file in files if (image := decode(file)) is not None), (None, None))
+            if file is None or image is None:
+                raise SequenceError(
+                    f"none of the {len(files)} images can be decoded, the first is {files[0]}; "
+                    "read are images of 8 and 16 bits"
+                )
+            levels[file] = image
+        self._sizes = {file: image.shape[::-1] for file, image in levels.items() if image is not None}
+        self._undecoded = [file for file, image in levels.items() if image is None and file.is_file()]
+        self.size: tuple[int, int] = Counter(self._sizes.values()).most_common(1)[0][0]
+        deep = [image for image in levels.values() if image is not None and image.dtype == np.uint16]
+        self._lowest = min((int(image.min()) for image in deep), default=0)
+        self._highest = max((int(image.max()) for image in deep), default=2**16 - 1)
+        self.depth = next(depth for depth in DEPTHS if self._highest < 2**depth)
+
+    def loader(
+        self, camera: Camera, calibration: Path | str, rectifier: Rectifier | None = None
+    ) -> Callable[[int], Image | None]:
+        """A function that reads image i: decoded, of the right size, rectified; None where it is unusable.
+
+        Args:
+            camera: The camera as built, which made the files.
+            calibration: Where the camera comes from, for the error message.
+            rectifier: How to rectify; where not given, distortion is removed and the calibration matrix stays.
+
+        Raises:
+            CameraError: No image that was looked at is of the calibrated size.
+        """
+        size = (camera.width, camera.height)
+        if size not in self._sizes.values():
+            path, (width, height) = next(iter(self._sizes.items()))
+            raise CameraError(f"{path} is {width}x{height} pixels, but {calibration} is for {size[0]}x{size[1]}")
+        if rectifier is None and camera.distortion is not Distortion.NONE:
+            rectifier = Rectifier(camera, camera.undistorted())
+        paths, depth = self._paths, self.depth
+
+        def load(index: int) -> Image | None:
+            path = paths[index]
+            levels = None if path is None else decode(path)
+            if levels is None or levels.shape[::-1] != size:
+                return None
+            image = eight_bits(levels, depth)
+            return image if rectifier is None else rectifier(image)
+
+        return load
+
+    def notes(self, camera: Camera) -> tuple[str, ...]:
+        """What is odd about the files of a camera, one sentence each."""
+        missing = [index for index, path in enumerate(self._paths) if path is None or not path.is_file()]
+        other = [file for file, size in self._sizes.items() if size != (camera.width, camera.height)]
+        looked_at = f"of the {len(self._sizes) + len(self._undecoded)} images looked at"
+        notes = []
+        if missing:
+            notes.append(f"{count_of(len(missing), 'image')} missing: frame {ranges(missing)}")
+        if self._undecoded:
+            notes.append(f"{len(self._undecoded)} {looked_at} cannot be decoded, such as {self._undecoded[0].name}")
+        if other:
+            notes.append(
+                f"{len(other)} {looked_at} are not of {camera.width}x{camera.height} pixels and left out, "
+                f"such as {other[0].name}"
+            )
+        if self.depth < DEPTHS[-1]:
+            notes.append(
+                f"images of 16 bits hold levels from {self._lowest} to {self._highest}: taken as {self.depth} bits"
+            )
+        return tuple(notes)
