@@ -27,7 +27,7 @@ def run(
     preset: str = "tuned",
     settings: Mapping[str, Any] | None = None,
     seed: int = 0,
-    out: Path | None = None,
+    out: str | Path | None = None,
 ) -> Run:
     """Run an estimator on a sequence.
 
@@ -51,10 +51,10 @@ def run(
     description = facts(recording, config)
     if out is None:
         return collect(estimate(recording, config), config, description, recording.ground_truth)
-    with RunWriter(out, config, description, recording.ground_truth) as writer:
+    with RunWriter(Path(out), config, description, recording.ground_truth) as writer:
         for result in estimate(recording, config):
             writer.add(result)
-    return read_run(out)
+    return read_run(Path(out))
 
 
 def evaluate(
@@ -85,7 +85,7 @@ def compare(
     settings: Mapping[str, Any] | None = None,
     external: Mapping[str, str | Path] | None = None,
     align: str = "sim3",
-    out: Path | None = None,
+    out: str | Path | None = None,
     workers: int = 1,
 ) -> Outcome:
     """Run several modes on one sequence, over several seeds, beside the trajectories of other systems.
@@ -108,4 +108,4 @@ def compare(
         FvslamError: One sentence on what is missing, unknown or out of range.
     """
     study = comparison(sequence, modes, seeds, preset, settings, external, align)
-    return carry_out(study, out or default_folder(study), workers)
+    return carry_out(study, default_folder(study) if out is None else Path(out), workers)

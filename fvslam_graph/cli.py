@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import re
+import io
+import signal
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from fvslam_graph.config import Config
     from fvslam_graph.sequences.base import Sequence
     from fvslam_graph.study.declaration import Study
+    from fvslam_graph.trajectory import Status
 
 app = typer.Typer(
     name="fvslam",
@@ -47,7 +50,7 @@ ImageScale = Annotated[float, typer.Option(help="Resize the images by this facto
 CameraHeight = Annotated[float | None, typer.Option(help="Metres from the camera to the ground.")]
 CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera looks below the horizon.")]
 CameraK1 = Annotated[float | None, typer.Option(help="Radial distortion left in the images; see `distortion`.")]
-Preset = Annotated[str, typer.Option(help="paper or tuned.")]
+Preset = Annotated[str | None, typer.Option(help="paper or tuned.", show_default="tuned")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
 ]
@@ -60,11 +63,16 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run; runs/<sequence>-<mode>-<preset> if not given.")
     ] = None,
-    mode: Annotated[str, typer.Option(help="vo, vslam, average, intersection or graph.")] = "vo",
-    preset: Preset = "tuned",
-    config: Annotated[Path | None, typer.Option(help="YAML file with settings that differ from the preset.")] = None,
+    mode: Annotated[
+        str | None, typer.Option(help="vo, vslam, average, intersection or graph.", show_default="vo")
+    ] = None,
+    preset: Preset = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="YAML file with settings that differ from the preset, or config.yaml of a run to repeat."),
+    ] = None,
     settings: Settings = None,
-    seed: Annotated[int | None, typer.Option(help="Of all random numbers.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of all random numbers.", show_default="0")] = None,
     frames: Frames = None,
     stride: Stride = 1,
     image_scale: ImageScale = 1.0,
@@ -74,10 +82,11 @@ def run(
 ) -> None:
     """Run an estimator on a sequence and keep the result in a folder."""
     from fvslam_graph.config import load_config
+    from fvslam_graph.files import file_name
     from fvslam_graph.sequences.opening import open_sequence
 
-    single = [f"mode={mode}", *(settings or []), *([] if seed is None else [f"seed={seed}"])]
-    chosen = load_config(preset, config, single)
+    given = [f"{name}={value}" for name, value in (("mode", mode), ("seed", seed)) if value is not None]
+    chosen = load_config(preset, config, [*given, *(settings or [])])
     source: dict[str, Any] = {
         "path": path if path.startswith("synthetic:") else str(Path(path).absolute()),
         "frames": frames,
@@ -88,9 +97,9 @@ def run(
         "camera_k1": camera_k1,
     }
     sequence = open_sequence(**source)
-    folder = out or Path("runs") / re.sub(r"[^\w.-]+", "-", f"{sequence.name}-{chosen.mode}-{chosen.preset}")
-    _run(sequence, chosen, folder, source)
-    typer.echo(f"next: fvslam evaluate {folder}; fvslam plot {folder}")
+    folder = out or Path("runs") / f"{file_name(sequence.name)}-{chosen.mode}-{chosen.preset}"
+    said = _run(sequence, chosen, folder, source)
+    typer.echo(f"{said}; next: fvslam evaluate {folder}; fvslam plot {folder}")
 
 
 @app.command()
@@ -131,7 +140,7 @@ def plot(
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.run_folder import read_run
 
-    for file in plot_runs([read_run(run) for run in runs], out or runs[0], Alignment(align)):
+    for file in plot_runs([read_run(run) for run in runs], out or runs[0], Alignment.named(align)):
         typer.echo(file)
     if landmarks is not None:
         for file in plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]):
@@ -143,7 +152,7 @@ def compare(
     path: SequencePath,
     modes: Annotated[str, typer.Option(help="Comma-separated.")] = "vo,vslam,average,intersection,graph",
     seeds: Annotated[int, typer.Option(help="How many runs of each mode.", min=1)] = 5,
-    preset: Preset = "tuned",
+    preset: Preset = None,
     settings: Settings = None,
     external: Annotated[
         list[str] | None,
@@ -167,7 +176,7 @@ def compare(
         path,
         modes.split(","),
         seeds,
-        preset,
+        preset or "tuned",
         {name: parse_yaml(value, f"the value of '{name}={value}'", ConfigError) for name, value in values.items()},
         files,
         align,
@@ -193,13 +202,14 @@ def study(
 def info(path: SequencePath, camera_height: CameraHeight = None, camera_pitch: CameraPitch = None) -> None:
     """Say what is recognised in a folder: format, frames, camera, ground truth, scale, gaps."""
     from rich.table import Table
+    from rich.text import Text
 
     from fvslam_graph.sequences.describe import describe
     from fvslam_graph.sequences.opening import open_sequence
 
     table = Table(show_header=False, box=None)
     for name, value in describe(open_sequence(path, camera_height=camera_height, camera_pitch=camera_pitch)):
-        table.add_row(name, value)
+        table.add_row(name, Text(value))
     _show(table)
 
 
@@ -236,7 +246,7 @@ def demo(
     folders = []
     for mode, preset in (*((mode, "tuned") for mode in Mode), (Mode.AVERAGE, "paper")):
         folders.append(out / f"{mode}-{preset}")
-        _run(sequence, load_config(preset, settings=[f"mode={mode}"]), folders[-1])
+        typer.echo(_run(sequence, load_config(preset, settings=[f"mode={mode}"]), folders[-1]))
         evaluate_run(folders[-1], align=Alignment.SE3)
     plots = plot_runs([read_run(folder) for folder in folders], out / "plots", Alignment.SE3)
     _show(runs_table(folders).rich(across=True))
@@ -259,28 +269,40 @@ def _carry_out(study: Study, out: Path, workers: int | None, scheduler: str | No
         raise FvslamError("no run came to its end; the table says why")
 
 
-def _run(sequence: Sequence, config: Config, folder: Path, source: dict[str, Any] | None = None) -> None:
+def _run(sequence: Sequence, config: Config, folder: Path, source: dict[str, Any] | None = None) -> str:
+    """Run, and say how many frames came out how."""
     from fvslam_graph.pipeline import applicable, estimate, facts
     from fvslam_graph.run_folder import RunWriter
+    from fvslam_graph.trajectory import Status
 
     effective = applicable(config, sequence)
     if effective != config:
         typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
+    statuses: Counter[Status] = Counter()
     with RunWriter(
         folder, effective, {**facts(sequence, effective), "source": source}, sequence.ground_truth
     ) as writer:
         for result in _progress(estimate(sequence, effective), len(sequence), sequence.name):
             writer.add(result)
-    typer.echo(f"{len(sequence)} frames of {sequence.name}: {folder}")
+            statuses[result.status] += 1
+    counts = ", ".join(f"{statuses[status]} {status}" for status in Status if statuses[status])
+    if 2 * (statuses[Status.TRACKED] + statuses[Status.STATIC]) < len(sequence):
+        typer.echo(
+            f"{sequence.name}: most frames were not tracked ({counts}), their poses are guesses; "
+            "`fvslam info` says what is read of the recording",
+            err=True,
+        )
+    return f"{len(sequence)} frames of {sequence.name}: {counts}"
 
 
 def _progress(items: Iterable[_T], total: int, label: str) -> Iterator[_T]:
     """A bar on a terminal, nothing elsewhere."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import track
 
     console = Console(stderr=True)
-    return iter(track(items, label, total, console=console, disable=not console.is_terminal, transient=True))
+    return iter(track(items, escape(label), total, console=console, disable=not console.is_terminal, transient=True))
 
 
 def _show(table: Table) -> None:
@@ -305,9 +327,13 @@ def _numbers(text: str) -> list[int]:
 
 
 def main() -> None:
-    """Run the command line: exit code 0, 1 with one sentence on what is wrong, 2 for wrong usage."""
+    """Run the command line: exit code 0, 1 with one sentence on what is wrong, 2 for wrong usage, 130 where stopped."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what was written is kept, as by Ctrl-C
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files need not be text
     try:
         app(prog_name="fvslam")
     except FvslamError as error:
-        typer.echo(f"fvslam: {error}", err=True)
+        typer.echo(f"fvslam: {' '.join(str(error).split())}", err=True)
         sys.exit(1)

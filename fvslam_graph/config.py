@@ -202,21 +202,23 @@ _PAPER: dict[str, Any] = {
 _GRAPH: dict[str, Any] = {"slam": {"min_landmarks": 60}}
 
 
-def load_config(preset: str = "tuned", file: Path | None = None, settings: Sequence[str] = ()) -> Config:
+def load_config(preset: str | None = None, file: Path | None = None, settings: Sequence[str] = ()) -> Config:
     """A preset, changed by a YAML file and then by single settings.
 
     Args:
-        preset: "paper" or "tuned".
+        preset: "paper" or "tuned"; where it is not given, the one that the file names, else "tuned".
         file: A mapping with the groups and names of Config, such as the config.yaml of a run; what it does not name
-            stays as in the preset, and a preset that it names is taken instead.
+            stays as in the preset.
         settings: "group.name=value" each, value in YAML.
 
     Raises:
         ConfigError: A file cannot be read, a name is unknown or a value is out of its range.
     """
-    changes: dict[str, Any] = {"preset": preset}
+    changes: dict[str, Any] = {"preset": "tuned"}
     if file is not None:
         _merge(changes, read_yaml_mapping(file, ConfigError))
+    if preset is not None:
+        changes["preset"] = preset
     for setting in settings:
         _merge(changes, _parse(setting))
     values: dict[str, Any] = {}

@@ -127,7 +127,8 @@ def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None
 def _fusion(sequence: Sequence, config: Config) -> Fusion:
     """What the mode makes of both; in mode `vo` there is nothing to fuse."""
     if config.mode is Mode.GRAPH:
-        return GraphFusion(sequence.camera, config.graph, sequence.ground, config.scale.relative)
+        scale = config.scale
+        return GraphFusion(sequence.camera, config.graph, sequence.ground, scale.relative, scale.ground.roughness)
     if config.mode is Mode.INTERSECTION:
         return RuleFusion(Intersection(config.fusion.criterion))
     if config.mode is Mode.AVERAGE:

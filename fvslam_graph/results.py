@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from fvslam_graph.errors import EstimationError
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.slam.estimate import SlamEstimate
@@ -60,6 +61,10 @@ class Relatives:
     prev_T_cur: NDArray[np.float64]
     covariances: NDArray[np.float64]
 
+    def first(self, count: int) -> Relatives:
+        """Those of the first frames."""
+        return Relatives(self.previous[:count], self.prev_T_cur[:count], self.covariances[:count])
+
 
 @dataclass(frozen=True)
 class Run:
@@ -93,6 +98,17 @@ class Run:
         return len(self.online) / (self.info.get("frames") or np.nan)
 
 
+def smooth(graph: Graph | None) -> tuple[Trajectory | None, dict[str, str]]:
+    """The poses by all measurements, as far as these determine them, and what run.json says of it as `smoothed`."""
+    if graph is None:
+        return None, {}
+    try:
+        smoothed = graph.smoothed()
+    except EstimationError as error:
+        return None, {"smoothed": f"not determined: {error}"}
+    return smoothed, {"smoothed": f"{len(smoothed)} of {graph.frames} poses"}
+
+
 def collect(
     results: Iterable[FrameResult],
     config: BaseModel,
@@ -106,15 +122,15 @@ def collect(
         | {f"{stage}_ms": value for stage, value in result.times.items()}
         for result in results
     ]
-    graph = results[-1].graph
+    smoothed, said = smooth(results[-1].graph)
     return Run(
         name="-".join(str(facts[key]) for key in ("sequence", "mode")),
         online=Trajectory(np.array([result.stamp for result in results]), tuple(r.pose.mean for r in results)),
-        smoothed=graph.smoothed() if graph else None,
+        smoothed=smoothed,
         ground_truth=ground_truth,
         frames={name: np.array([row[name] for row in rows]) for name in rows[0]},
         config=config.model_dump(mode="json"),
-        info={"status": "finished", **facts},
+        info={"status": "finished", **facts, **said},
         relatives=Relatives(
             np.array([result.previous for result in results], dtype=np.int64),
             np.array([result.relative.mean.matrix() for result in results]),

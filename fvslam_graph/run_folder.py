@@ -6,45 +6,57 @@ A run is written while it goes on, so that a run that is interrupted or killed k
 from __future__ import annotations
 
 import csv
+import io
 import json
+import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TextIO, TypeVar
-from zipfile import BadZipFile
+from typing import Annotated, Any, TextIO, TypeVar
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel
+from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, NonNegativeInt, ValidationError
 
+from fvslam_graph.complaints import complaint
 from fvslam_graph.errors import ResultsError
-from fvslam_graph.files import replacing, write_json, writing
+from fvslam_graph.files import replacing, write_file, write_json, writing
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.graph_files import FACTORS, G2O, LANDMARKS_PLY, VALUES
 from fvslam_graph.landmark_table import COLUMNS, landmark_rows
+from fvslam_graph.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind_of
 from fvslam_graph.provenance import peak_memory_mb, provenance
-from fvslam_graph.results import FrameResult, Relatives, Run
+from fvslam_graph.results import FrameResult, Relatives, Run, smooth
 from fvslam_graph.slam.estimate import SlamEstimate
-from fvslam_graph.trajectory import Trajectory, kitti_line, tum_line
+from fvslam_graph.trajectory import Status, Trajectory, kitti_line, tum_line
 
 ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
 SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"
 GROUND_TRUTH, FRAMES, COVARIANCES = "ground_truth.tum", "frames.csv", "covariances.npz"
-CONFIG, INFO, METRICS, REFERENCE = "config.yaml", "run.json", "metrics.json", "reference.tum"
+CONFIG, METRICS, REFERENCE = "config.yaml", "metrics.json", "reference.tum"
 LANDMARKS = "landmarks.csv"
 GRAPH = (G2O, LANDMARKS_PLY, FACTORS, VALUES)
+
+ROUNDING = 1e-6  # share of its largest variance by which a covariance may be negative
+UNFINISHED = "unfinished"  # a folder for a new run where a finished one is kept until that, too, is finished
 
 # Everything that a run, its evaluation and its plots leave in the folder; a new run into the same folder removes it.
 _OURS = (
     *(ONLINE, ONLINE_KITTI, SMOOTHED, SMOOTHED_KITTI, GROUND_TRUTH, FRAMES, COVARIANCES, CONFIG, INFO),
     *GRAPH,
-    *(LANDMARKS, METRICS, REFERENCE, "[ar]pe_*.zip", "row_*.json", "plot_*.png", "plot_*.pdf"),
+    *(LANDMARKS, METRICS, REFERENCE),
+    *(f"{error}_{part}.zip" for error in ("ape", "rpe", "rpe_1m") for part in ("trans", "rot")),
+    *(f"row_{align}.json" for align in ("none", "origin", "se3", "sim3")),
+    *(f"plot_{name}.{kind}" for name in ("trajectory", "speed", "features", "error") for kind in ("png", "pdf")),
+    f"plot_landmarks_{6 * '[0-9]'}.png",
 )
 
+_log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
 
@@ -56,7 +68,8 @@ class RunWriter:
     `trajectory_online.kitti` and `covariances.npz`, and in mode `graph` the smoothed trajectory and the graph.
 
     Args:
-        folder: Created; may hold a previous run, which is replaced.
+        folder: Created. A finished run that it holds is kept until this one is finished, too, which is in the folder
+            `unfinished` of it until then; any other run is replaced.
         config: The effective settings.
         facts: Go into run.json. Known to evaluation and plots: `sequence` (name), `frames` (how many the sequence has),
             `mode`, `scale_source`, `down` (3,), the direction of gravity in the first camera frame (None: unknown), and
@@ -64,29 +77,38 @@ class RunWriter:
         ground_truth: Kept with the run, so that it can be evaluated without the recording.
 
     Raises:
-        ResultsError: The folder holds something else than a run, or cannot be written.
+        ResultsError: The folder holds something else than a run, is in use, or cannot be written.
     """
 
     def __init__(
         self, folder: Path, config: BaseModel, facts: Mapping[str, Any], ground_truth: Trajectory | None = None
     ) -> None:
         self.folder = folder
+        self._config = config
         self._facts = dict(facts)
+        self._ground_truth = ground_truth
         self._results: list[FrameResult] = []
-        self._begin = time.perf_counter()
-        with writing(folder):
-            _claim(folder)
-            self._write_info("running")
-            settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
-            (folder / CONFIG).write_text(settings)
-            if ground_truth is not None:
-                ground_truth.write_tum(folder / GROUND_TRUTH)
-            self._trajectory = (folder / ONLINE).open("w")
-            self._frames = (folder / FRAMES).open("w", newline="")
         self._landmarks: TextIO | None = None
         self._graph: Graph | None = None
 
     def __enter__(self) -> RunWriter:
+        self._begin = time.perf_counter()
+        with ExitStack() as stack:
+            stack.enter_context(claimed(self.folder, Kind.RUN))
+            self._place = self.folder
+            if is_finished(self.folder):
+                self._place = self.folder / UNFINISHED
+                stack.enter_context(claimed(self._place, Kind.RUN))
+            with writing(self._place):
+                _clear(self._place)
+                self._write_info("running")
+                settings = yaml.safe_dump(self._config.model_dump(mode="json"), sort_keys=False)
+                write_file(self._place / CONFIG, settings)
+                if self._ground_truth is not None:
+                    _write_tum(self._place / GROUND_TRUTH, self._ground_truth)
+                self._trajectory = stack.enter_context((self._place / ONLINE).open("w"))
+                self._frames = stack.enter_context((self._place / FRAMES).open("w", newline=""))
+            self._stack = stack.pop_all()
         return self
 
     def add(self, result: FrameResult) -> None:
@@ -94,7 +116,7 @@ class RunWriter:
         row = {"index": result.index, "stamp": f"{result.stamp:.9f}", "status": result.status.value}
         row |= {name: f"{value:.9g}" for name, value in result.measures.items()}
         row |= {f"{stage}_ms": f"{value:.3f}" for stage, value in result.times.items()}
-        with writing(self.folder):
+        with writing(self._place):
             self._trajectory.write(tum_line(result.stamp, result.pose.mean))
             self._trajectory.flush()
             if not self._results:
@@ -110,49 +132,68 @@ class RunWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if kind is None:
-            status = "finished"
-        elif issubclass(kind, KeyboardInterrupt):
-            status = "interrupted"
-        else:
-            status = f"failed: {str(error) or kind.__name__}"
-        with writing(self.folder):
-            self._trajectory.close()
-            self._frames.close()
-            if self._landmarks is not None:
-                self._landmarks.close()
-            with replacing(self.folder / ONLINE_KITTI) as path:
-                path.write_text("".join(kitti_line(result.pose.mean) for result in self._results))
-            with replacing(self.folder / COVARIANCES) as path:
-                np.savez_compressed(
-                    path,
-                    previous=np.array([result.previous for result in self._results], dtype=np.int64),
-                    prev_T_cur=np.array([r.relative.mean.matrix() for r in self._results]).reshape(-1, 4, 4),
-                    covariances=np.array([r.relative.covariance for r in self._results]).reshape(-1, 6, 6),
-                    pose_covariances=np.array([r.pose.covariance for r in self._results]).reshape(-1, 6, 6),
-                )
-            self._write_info(status)
-            if self._graph is not None:
-                self._write_graph(self._graph)
+        with self._stack:
+            try:
+                with writing(self._place):
+                    self._close()
+                    if kind is None or issubclass(kind, KeyboardInterrupt):
+                        self._write_graph()
+                    self._write_results()
+                    self._write_info(_status(error))
+                    if kind is None and self._place != self.folder:
+                        self._replace_finished()
+            except BaseException as second:
+                with suppress(OSError):  # it says "running" then
+                    self._write_info(_status(error or second))
+                if error is None:
+                    raise
+        if kind is not None and self._place != self.folder:
+            _log.warning("%s keeps the finished run that it held; the new one is in %s", self.folder, self._place)
 
-    def _write_graph(self, graph: Graph) -> None:
-        smoothed = graph.smoothed()
-        with replacing(self.folder / SMOOTHED) as path:
-            smoothed.write_tum(path)
-        with replacing(self.folder / SMOOTHED_KITTI) as path:
-            path.write_text("".join(kitti_line(pose) for pose in smoothed.poses))
-        graph.write(self.folder)
+    def _close(self) -> None:
+        for file in (self._trajectory, self._frames, self._landmarks):
+            if file is not None:
+                file.close()
+
+    def _write_results(self) -> None:
+        write_file(self._place / ONLINE_KITTI, "".join(kitti_line(result.pose.mean) for result in self._results))
+        arrays = io.BytesIO()
+        np.savez_compressed(
+            arrays,
+            previous=np.array([result.previous for result in self._results], dtype=np.int64),
+            prev_T_cur=np.array([r.relative.mean.matrix() for r in self._results]).reshape(-1, 4, 4),
+            covariances=np.array([r.relative.covariance for r in self._results]).reshape(-1, 6, 6),
+            pose_covariances=np.array([r.pose.covariance for r in self._results]).reshape(-1, 6, 6),
+        )
+        write_file(self._place / COVARIANCES, arrays.getvalue())
+
+    def _write_graph(self) -> None:
+        smoothed, said = smooth(self._graph)
+        self._facts |= said
+        if self._graph is not None and smoothed is not None:
+            _write_tum(self._place / SMOOTHED, smoothed)
+            write_file(self._place / SMOOTHED_KITTI, "".join(map(kitti_line, smoothed.poses)))
+            self._graph.write(self._place)
+
+    def _replace_finished(self) -> None:
+        """Take the place of the finished run that was here; `run.json` goes first and comes last."""
+        (self.folder / INFO).unlink()
+        _clear(self.folder)
+        for path in sorted(self._place.iterdir(), key=lambda path: path.name == INFO):
+            if path.name not in (MARK, LOCK):
+                path.replace(self.folder / path.name)
+        disown(self._place)
 
     def _write_landmarks(self, slam: SlamEstimate) -> None:
         if self._landmarks is None:
-            self._landmarks = (self.folder / LANDMARKS).open("w")
+            self._landmarks = self._stack.enter_context((self._place / LANDMARKS).open("w"))
             self._landmarks.write(",".join(COLUMNS) + "\n")
         self._landmarks.write(landmark_rows(slam))
         self._landmarks.flush()
 
     def _write_info(self, status: str) -> None:
         info = {"status": status, **self._facts, **provenance(), "totals": self._totals()}
-        write_json(self.folder / INFO, info)
+        write_json(self._place / INFO, info)
 
     def _totals(self) -> dict[str, Any]:
         stages = list(self._results[0].times) if self._results else []
@@ -177,8 +218,9 @@ def read_run(folder: Path) -> Run:
         ResultsError: The folder is not that of a run, or one of its files is damaged.
         TrajectoryError: One of its trajectories is damaged.
     """
-    if not (folder / INFO).is_file():
+    if kind_of(folder) is not Kind.RUN or not (folder / INFO).is_file():
         raise ResultsError(f"{folder} is not the folder of a run: it has no {INFO}; give the output folder of a run")
+    info = _parsed(folder / INFO, _read_info)
     frames = _parsed(folder / FRAMES, _read_frames)
     stamps = frames.get("stamp", np.empty(0))
     written = Trajectory.read_tum(folder / ONLINE, unfinished=True) if len(stamps) else Trajectory(stamps, ())
@@ -191,32 +233,88 @@ def read_run(folder: Path) -> Run:
         smoothed=_read_optional(folder / SMOOTHED),
         ground_truth=_read_optional(folder / GROUND_TRUTH),
         frames={name: column[:count] for name, column in frames.items()},
-        config=_parsed(folder / CONFIG, lambda path: yaml.safe_load(path.read_text())),
-        info=_parsed(folder / INFO, lambda path: json.loads(path.read_text())),
-        relatives=relatives,
+        config=_parsed(folder / CONFIG, _read_config),
+        info=info,
+        relatives=relatives and relatives.first(count),
         folder=folder,
     )
 
 
-def _claim(folder: Path) -> None:
-    """Make the folder empty and ours, or refuse."""
-    folder.mkdir(parents=True, exist_ok=True)
-    if any(folder.iterdir()) and not (folder / INFO).is_file():
-        raise ResultsError(
-            f"{folder} holds files that are not of a run; give another or an empty folder for the output"
-        )
+def is_finished(folder: Path) -> bool:
+    """Whether it is the folder of a run that came to its end."""
+    try:
+        return kind_of(folder) is Kind.RUN and _read_info(folder / INFO)["status"] == "finished"
+    except (OSError, ValueError):
+        return False
+
+
+def _clear(folder: Path) -> None:
+    """Remove what a run has left, and what was about to be written when it was killed."""
     for pattern in _OURS:
-        for path in folder.glob(pattern):
+        for path in (*folder.glob(pattern), *folder.glob(f"writing_{pattern}")):
             path.unlink()
+
+
+def _status(error: BaseException | None) -> str:
+    if error is None:
+        return "finished"
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    return f"failed: {str(error) or type(error).__name__}"
+
+
+def _write_tum(path: Path, trajectory: Trajectory) -> None:
+    with replacing(path) as temporary:
+        trajectory.write_tum(temporary)
 
 
 def _parsed(path: Path, parse: Callable[[Path], _T]) -> _T:
     try:
         return parse(path)
-    # What the readers of csv, yaml, json and npz raise at damaged files has no common base.
-    except (OSError, ValueError, KeyError, EOFError, yaml.YAMLError, BadZipFile) as error:
-        reason = " ".join(str(error).split())
+    except ResultsError:
+        raise
+    except Exception as error:  # what the readers of csv, yaml, json and npz raise at damaged files has no common base
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise ResultsError(f"{path} cannot be read, the run must be done again: {reason}") from None
+
+
+def _no_zero(direction: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(direction):
+        raise ValueError("it has no direction")
+    return direction
+
+
+class _Info(BaseModel):
+    """What readers of run.json rely on; it holds more."""
+
+    model_config = ConfigDict(strict=True)
+
+    status: str
+    sequence: str | None = None
+    mode: str | None = None
+    scale_source: str | None = None
+    smoothed: str | None = None
+    frames: NonNegativeInt | None = None
+    down: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_no_zero)] | None = None
+    source: dict[str, Any] | None = None
+    totals: dict[str, Any] = {}
+
+
+def _read_info(path: Path) -> dict[str, Any]:
+    text = path.read_text()
+    try:
+        _Info.model_validate_json(text)
+    except ValidationError as error:
+        raise ValueError(complaint(error, _Info, "entry")) from None
+    info: dict[str, Any] = json.loads(text)
+    return info
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    content = yaml.safe_load(path.read_text())
+    if not isinstance(content, dict):
+        raise ValueError("it should hold a mapping of settings")
+    return content
 
 
 def _read_frames(path: Path) -> dict[str, NDArray[Any]]:
@@ -225,12 +323,33 @@ def _read_frames(path: Path) -> dict[str, NDArray[Any]]:
     rows = list(reader)
     types = {"index": np.int64, "status": np.str_}
     names = reader.fieldnames or ()
-    return {name: np.array([row[name] for row in rows]).astype(types.get(name, np.float64)) for name in names}
+    if names and not {"index", "stamp", "status"} <= set(names):
+        raise ValueError("it has no columns index, stamp and status")
+    frames: dict[str, NDArray[Any]] = {
+        name: np.array([row[name] for row in rows]).astype(types.get(name, np.float64)) for name in names
+    }
+    if unknown := set(frames.get("status", ())) - set(Status):
+        raise ValueError(f"there is no status '{min(unknown)}'")
+    return frames
 
 
 def _read_relatives(path: Path) -> Relatives:
     with np.load(path) as arrays:
-        return Relatives(arrays["previous"], arrays["prev_T_cur"], arrays["covariances"])
+        found = Relatives(arrays["previous"], arrays["prev_T_cur"], arrays["covariances"])
+    count = len(found.previous)
+    if (found.previous.shape, found.prev_T_cur.shape, found.covariances.shape) != (
+        (count,),
+        (count, 4, 4),
+        (count, 6, 6),
+    ) or not all(0 <= previous <= frame for frame, previous in enumerate(found.previous)):
+        raise ValueError("its arrays do not fit each other")
+    if not np.isfinite(found.prev_T_cur).all():
+        raise ValueError("it has a motion that is not finite")
+    known = np.flatnonzero(np.isfinite(found.covariances).all(axis=(1, 2)))
+    values = np.linalg.eigvalsh(found.covariances[known])
+    if negative := known[values[:, 0] < -ROUNDING * np.abs(values).max(axis=1)].tolist():
+        raise ValueError(f"the covariance of frame {negative[0]} has a negative variance")
+    return found
 
 
 def _read_optional(path: Path) -> Trajectory | None:

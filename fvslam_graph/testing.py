@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from fvslam_graph.api import evaluate
-from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.results import Run
 from fvslam_graph.sequences.base import Sequence
@@ -62,7 +61,7 @@ def assert_ape_below(
         AssertionError: Says what was measured.
     """
     __tracebackhide__ = True
-    evaluation = evaluate(estimated, reference, Alignment(align))
+    evaluation = evaluate(estimated, reference, align)
     truth = reference or (estimated.ground_truth if isinstance(estimated, Run) else None)
     poses, frames = len(evaluation.association.indices), len(truth) if truth else 0
     assert poses >= coverage * frames, f"{poses} of {frames} frames have a pose, fewer than {100 * coverage:g} %"

@@ -118,3 +118,19 @@ def flight(stamps, late=0.0):
     rotation, known = gtsam.Rot3.Rz(np.pi / 2), np.asarray(stamps)
     positions = np.column_stack([-10 * known, np.sin(known), known**2])
     return Trajectory(known + late, tuple(gtsam.Pose3(rotation, position) for position in positions))
+
+
+def test_folders_may_be_strings(tmp_path):
+    assert fvslam_graph.run(SHORT, out=str(tmp_path / "run")).folder == tmp_path / "run"
+    fvslam_graph.compare(SHORT, ["vo"], 1, out=str(tmp_path / "compare"))
+    assert (tmp_path / "compare" / "report.html").is_file()
+
+
+@pytest.mark.parametrize("align", ["se4", "", None, 3])
+def test_a_wrong_alignment_is_one_sentence(tmp_path, align):
+    truth = open_sequence(SHORT).ground_truth
+    with pytest.raises(FvslamError, match="align"):
+        fvslam_graph.evaluate(truth, truth, align)
+    with pytest.raises(FvslamError, match="align"):
+        fvslam_graph.compare(SHORT, align=align, out=tmp_path / "compare")
+    assert not (tmp_path / "compare").exists()

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from fvslam_graph import pipeline
+from fvslam_graph.files import file_name
 from fvslam_graph.run_folder import read_run
 
 COMMANDS = ("run", "evaluate", "plot", "compare", "study", "info", "demo")
@@ -22,7 +23,7 @@ def test_run_evaluate_and_plot(drive, tmp_path, fvslam):
     outcome = fvslam("run", drive, "--out", folder)
     assert outcome == (
         0,
-        f"12 frames of drive: {folder}\nnext: fvslam evaluate {folder}; fvslam plot {folder}\n",
+        f"12 frames of drive: 11 tracked, 1 static; next: fvslam evaluate {folder}; fvslam plot {folder}\n",
         "",
     )
     run = read_run(folder)
@@ -52,7 +53,7 @@ def test_options_reach_the_run(drive, tmp_path, fvslam):
     ground = ("--camera-height", 3, "--camera-pitch", 0.1)
     chosen = ("--preset", "paper", "--config", settings, "--set", "features.count=200", "--seed", 5)
     code, _, err = fvslam("run", drive, "--out", tmp_path / "run", *part, *ground, *chosen)
-    assert (code, err) == (0, "")
+    assert code == 0 and "most frames were not tracked (1 static, 2 coasted, 1 reinitialised)" in err
     run = read_run(tmp_path / "run")
     assert (run.config["preset"], run.config["seed"]) == ("paper", 5)
     assert (run.config["features"]["count"], run.config["features"]["spacing"]) == (200, 5)
@@ -64,7 +65,8 @@ def test_options_reach_the_run(drive, tmp_path, fvslam):
 def test_the_default_folder_needs_no_quotes(tmp_path, monkeypatch, fvslam):
     monkeypatch.chdir(tmp_path)
     code, out, _ = fvslam("run", "synthetic:drive?frames=2&size=320x100")
-    folder = "runs/synthetic-drive-frames-2-size-320x100-vo-tuned"
+    folder = f"runs/{file_name('synthetic:drive?frames=2&size=320x100')}-vo-tuned"
+    assert re.fullmatch(r"[\w./-]+", folder)
     assert code == 0 and out.endswith(f"fvslam plot {folder}\n")
     assert read_run(tmp_path / folder).info["sequence"] == "synthetic:drive?frames=2&size=320x100"
 
@@ -270,7 +272,7 @@ def test_compare(fvslam, drive, tmp_path):
         (("--external", "orb.tum"), "--external takes NAME=FILE, not 'orb.tum'"),
         (("--set", "vo.inliers=3"), "there is no setting 'vo.inliers'; the nearest is 'vo.min_inliers'"),
         (("--set", "vo.inliers"), "--set takes group.name=value"),
-        (("--align", "sim"), "the alignment is one of none, origin, se3, sim3, not 'sim'"),
+        (("--align", "sim"), "'align' cannot be 'sim'"),
     ],
 )
 def test_a_wrong_comparison_is_one_sentence(fvslam, drive, tmp_path, options, complaint):

@@ -46,7 +46,8 @@ def test_the_effective_settings_read_back_are_the_same(tmp_path, preset):
 def test_a_preset_named_in_a_file_is_the_one_that_the_rest_comes_from(tmp_path):
     file = tmp_path / "settings.yaml"
     file.write_text("preset: paper\nvo: {min_inliers: 40}\n")
-    assert load_config("tuned", file) == load_config("paper", settings=["vo.min_inliers=40"])
+    assert load_config(file=file) == load_config("paper", settings=["vo.min_inliers=40"])
+    assert load_config("tuned", file) == load_config(settings=["vo.min_inliers=40"])
 
 
 def test_settings_are_frozen():
@@ -102,3 +103,12 @@ def test_a_bad_file_is_one_sentence(tmp_path, content, complaint):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"absent\.yaml is missing"):
         load_config(file=tmp_path / "absent.yaml")
+
+
+def test_the_mode_of_a_file_and_what_wins(tmp_path):
+    file = tmp_path / "config.yaml"
+    file.write_text("mode: graph\npreset: paper\nseed: 4\n")
+    repeated = load_config(file=file)
+    assert (repeated.mode, repeated.preset, repeated.seed) == ("graph", "paper", 4)
+    changed = load_config("tuned", file, ["mode=vslam", "seed=5"])
+    assert (changed.mode, changed.preset, changed.seed) == ("vslam", "tuned", 5)

@@ -16,6 +16,7 @@ from fvslam_graph.pipeline import applicable, estimate, facts, stages
 from fvslam_graph.run_folder import GRAPH, METRICS, RunWriter, read_run
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.points import simulate_drive, simulate_flight
+from fvslam_graph.sequences.synthetic import synthetic_sequence
 from fvslam_graph.trajectory import Status
 
 
@@ -308,3 +309,13 @@ def test_the_folder_of_a_graph_run(flown, tmp_path):
     own = np.linalg.norm(run.smoothed.positions - flown.ground_truth.positions, axis=1)
     assert 0 < evaluation.smoothed < np.sqrt(np.mean(own**2))  # before alignment
     assert json.loads((tmp_path / METRICS).read_text())["ape_smoothed"] == evaluation.smoothed
+
+
+def test_heights_that_are_exact_above_ground_that_is_not():
+    """As of a vehicle that stands on the ground, and of synthetic worlds."""
+    flown = synthetic_sequence("uav", frames=12, size="160x120")
+    assert flown.ground.height_sigma == 0
+    config = load_config(settings=["mode=graph", "graph.heights=true"])
+    results = list(estimate(flown, config))
+    assert len(results) == 12 and np.isfinite(results[-1].pose.covariance).all()
+    assert results[-1].graph.smoothed().path_length > 5

@@ -1,6 +1,9 @@
 """A run folder is written as the run goes on, and read back whatever happened to the run."""
 
 import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -8,7 +11,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from fvslam_graph.errors import ResultsError, TrajectoryError
+from fvslam_graph.errors import EstimationError, ResultsError, TrajectoryError
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.results import FrameResult
 from fvslam_graph.run_folder import RunWriter, read_run
@@ -198,3 +201,161 @@ def test_json_of_a_run_is_strict(tmp_path: Path) -> None:
 
     write(tmp_path)
     json.loads((tmp_path / "run.json").read_text(), parse_constant=refuse)
+
+
+class Stopped:
+    """A graph at whose end something happens."""
+
+    frames = 5
+
+    def __init__(self, stop: BaseException | None = None, folder: Path | None = None) -> None:
+        self.stop, self.folder = stop, folder
+        self.status: str | None = None
+
+    def smoothed(self) -> Trajectory:
+        if isinstance(self.stop, EstimationError):
+            raise self.stop
+        return Trajectory(np.array([0.0, 0.1]), (gtsam.Pose3(), STEP))
+
+    def write(self, folder: Path) -> None:
+        self.status = json.loads((folder / "run.json").read_text())["status"]
+        if self.stop is not None:
+            raise self.stop
+
+
+def finish(folder: Path, graph: Stopped) -> None:
+    with RunWriter(folder, Settings(), FACTS) as writer:
+        writer.add(replace(frame(0), graph=graph))
+
+
+def test_a_run_is_finished_when_all_is_written(tmp_path: Path) -> None:
+    graph = Stopped()
+    finish(tmp_path, graph)
+    assert graph.status == "running"
+    run = read_run(tmp_path)
+    assert run.info["status"] == "finished" and run.info["smoothed"] == "2 of 5 poses" and len(run.smoothed) == 2
+
+
+@pytest.mark.parametrize(
+    ("stop", "status"),
+    [
+        (OSError(28, "No space left on device"), "failed: .*No space left on device"),
+        (KeyboardInterrupt(), "interrupted"),
+        (RuntimeError("x"), "failed: x"),
+    ],
+)
+def test_a_run_whose_end_is_stopped_is_not_finished(tmp_path: Path, stop: BaseException, status: str) -> None:
+    with pytest.raises(ResultsError if isinstance(stop, OSError) else type(stop)):
+        finish(tmp_path, Stopped(stop))
+    run = read_run(tmp_path)
+    assert re.fullmatch(status, run.info["status"]) and len(run.online) == 1
+
+
+def test_the_online_result_stands_where_the_graph_cannot_be_solved(tmp_path: Path) -> None:
+    finish(tmp_path, Stopped(EstimationError("it is singular")))
+    run = read_run(tmp_path)
+    assert (run.info["status"], len(run.online), run.smoothed) == ("finished", 1, None)
+    assert run.info["smoothed"] == "not determined: it is singular"
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt(), ValueError("no such thing")])
+def test_a_finished_run_is_kept_until_the_next_one_is_finished(tmp_path: Path, stop: BaseException) -> None:
+    write(tmp_path)
+    with pytest.raises(type(stop)), RunWriter(tmp_path, Settings(), FACTS) as writer:
+        writer.add(frame(0))
+        assert len(read_run(tmp_path).online) == 5
+        raise stop
+    kept, stopped = read_run(tmp_path), read_run(tmp_path / "unfinished")
+    assert (kept.info["status"], len(kept.online), len(stopped.online)) == ("finished", 5, 1)
+    assert stopped.info["status"] != "finished"
+    write(tmp_path, count=3)
+    assert len(read_run(tmp_path).online) == 3 and not (tmp_path / "unfinished").exists()
+
+
+def test_what_a_killed_writer_was_about_to_replace_is_removed(tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "writing_run.json").write_text("{")
+    write(tmp_path)
+    assert not list(tmp_path.glob("writing_*"))
+
+
+def test_the_names_of_what_we_leave_are_exact(tmp_path: Path) -> None:
+    write(tmp_path)
+    mine = ("plot_mine.png", "ape_mine.zip", "row_mine.json", "plot_landmarks_best.png")
+    for name in mine:
+        (tmp_path / name).write_text("mine")
+    write(tmp_path)
+    assert all((tmp_path / name).exists() for name in mine)
+
+
+def edit(name: str, **entries: object) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        (folder / name).write_text(json.dumps(json.loads((folder / name).read_text()) | entries))
+
+    return damage
+
+
+def text(name: str, content: str) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        (folder / name).write_text(content)
+
+    return damage
+
+
+def arrays(**changes: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        with np.load(folder / "covariances.npz") as file:
+            held = dict(file)
+        np.savez(folder / "covariances.npz", **held | {name: change(held[name]) for name, change in changes.items()})
+
+    return damage
+
+
+def corrupt(folder: Path) -> None:
+    content = bytearray((folder / "covariances.npz").read_bytes())
+    content[60:120] = bytes(60)
+    (folder / "covariances.npz").write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("damage", "complaint"),
+    [
+        (text("run.json", "null"), r"run\.json cannot be read"),
+        (text("run.json", "[" * 5000), r"run\.json cannot be read"),
+        (text("run.json", "{}"), r"run\.json cannot be read.* the entry 'status' is missing"),
+        (edit("run.json", status=3), r"run\.json .*'status' cannot be 3"),
+        (edit("run.json", frames="12"), r"run\.json .*'frames' cannot be '12'"),
+        (edit("run.json", frames=-1), r"run\.json .*'frames' cannot be -1"),
+        (edit("run.json", down=[0, 0, 0]), r"run\.json .*'down' cannot be .*no direction"),
+        (edit("run.json", down="up"), r"run\.json .*'down' cannot be 'up'"),
+        (edit("run.json", totals=[]), r"run\.json .*'totals' cannot be \[\]"),
+        (text("config.yaml", "3"), r"config\.yaml cannot be read.*mapping"),
+        (text("frames.csv", "index,stamp\n0,0.0\n"), r"frames\.csv cannot be read.*no columns"),
+        (text("frames.csv", "index,stamp,status\n0,0.0,lost\n"), r"frames\.csv cannot be read.*no status 'lost'"),
+        (text("frames.csv", f"index,stamp,status\n{'9' * 40},0,tracked\n"), r"frames\.csv cannot be read"),
+        (text("frames.csv", f'index,stamp,status\n"{"9" * 200_000}",0,tracked\n'), r"frames\.csv cannot be read"),
+        (corrupt, r"covariances\.npz cannot be read"),
+        (arrays(previous=lambda p: p - 3), r"covariances\.npz .*do not fit each other"),
+        (arrays(previous=lambda p: p[:-1]), r"covariances\.npz .*do not fit each other"),
+        (arrays(covariances=lambda c: c[:, :3]), r"covariances\.npz .*do not fit each other"),
+        (arrays(covariances=np.negative), r"covariances\.npz .*frame 1 has a negative variance"),
+        (arrays(prev_T_cur=lambda t: np.nan * t), r"covariances\.npz .*motion that is not finite"),
+    ],
+)
+def test_a_run_that_somebody_has_changed_is_one_sentence(
+    tmp_path: Path, damage: Callable[[Path], None], complaint: str
+) -> None:
+    damage(write(tmp_path))
+    with pytest.raises(ResultsError, match=complaint) as caught:
+        read_run(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_that_is_cut_is_as_long_as_its_shortest_file(tmp_path: Path) -> None:
+    write(tmp_path)
+    lines = (tmp_path / "frames.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "frames.csv").write_text("".join(lines[:4]))
+    run = read_run(tmp_path)
+    assert len(run.online) == len(run.frames["index"]) == len(run.relatives.previous) == 3
+    (tmp_path / "frames.csv").write_text("")
+    assert len(read_run(tmp_path).online) == 0

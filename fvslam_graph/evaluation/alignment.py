@@ -1,7 +1,8 @@
 """The four ways to bring an estimate into the world of its reference."""
 
+from __future__ import annotations
+
 from enum import StrEnum
-from typing import NoReturn
 
 from fvslam_graph.errors import FvslamError
 
@@ -15,8 +16,11 @@ class Alignment(StrEnum):
     SIM3 = "sim3"  # the same with one scale factor
 
     @classmethod
-    def _missing_(cls, value: object) -> NoReturn:
-        raise FvslamError(f"the alignment is one of {', '.join(cls)}, not '{value}'")
+    def named(cls, name: str) -> Alignment:
+        """By its name; raises FvslamError where there is none of that name."""
+        if name not in list(cls):
+            raise FvslamError(f"the alignment is one of {', '.join(cls)}, not '{name}'")
+        return cls(name)
 
     @property
     def options(self) -> dict[str, bool]:

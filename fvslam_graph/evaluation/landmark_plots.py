@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.errors import ResultsError
-from fvslam_graph.evaluation.plots import STYLE, level_axes
+from fvslam_graph.evaluation.plots import STYLE, legible, level_axes, save
 from fvslam_graph.files import writing
 from fvslam_graph.landmark_table import NEW, read_landmarks
-from fvslam_graph.run_folder import INFO, LANDMARKS, read_run
+from fvslam_graph.ownership import INFO, claim_files
+from fvslam_graph.run_folder import LANDMARKS, read_run
 from fvslam_graph.sequences.opening import open_sequence
 
 if TYPE_CHECKING:
@@ -42,30 +43,33 @@ def plot_landmarks(folder: Path, frames: list[int], out: Path) -> list[Path]:
     table, source = folder / LANDMARKS, run.info.get("source")
     if not table.exists() or source is None:
         raise ResultsError(f"{folder} has no landmarks to show; run it with visual SLAM, as by --mode vslam")
-    sequence = open_sequence(**source)
-    down = np.array(run.info["down"] or (0.0, 1.0, 0.0))
+    try:
+        sequence = open_sequence(**source)
+    except (TypeError, ValueError, AttributeError):
+        raise ResultsError(f"{folder / INFO} does not say how to open the recording; run it again") from None
+    down = np.array(run.info.get("down") or (0.0, 1.0, 0.0))
     files = []
     with writing(out), matplotlib.rc_context(STYLE):
-        out.mkdir(parents=True, exist_ok=True)
+        claim_files(out, [f"plot_landmarks_{frame:06d}.png" for frame in frames])
         for frame in frames:
             try:
                 landmarks = read_landmarks(table, frame)
             except ValueError as error:
                 raise ResultsError(f"{table} cannot be read, the run must be done again: {error}") from None
-            if not len(landmarks["id"]):
+            if not len(landmarks["id"]) or frame >= len(run.online):
                 raise ResultsError(f"{table} has no frame {frame}: visual SLAM did not run there; see {folder / INFO}")
             image = sequence.frame(frame).image
             figure = Figure(figsize=(12, 9), layout="constrained")
             above, below = figure.subplots(2, 1, height_ratios=(3, 2))
-            figure.suptitle(f"{sequence.name}, frame {frame}: {run.frames['status'][frame]}, {run.info['mode']}")
+            status, mode = run.frames["status"][frame], run.info.get("mode")
+            figure.suptitle(f"{legible(sequence.name)}, frame {frame}: {status}, {mode}")
             if image is not None:
                 above.imshow(image, cmap="gray", vmin=0, vmax=255)
             _draw_image(above, landmarks, (sequence.camera.width, sequence.camera.height))
             _draw_map(below, landmarks, level_axes(down))
             handles, labels = above.get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-            files.append(out / f"plot_landmarks_{frame:06d}.png")
-            figure.savefig(files[-1])
+            files += save(figure, out / f"plot_landmarks_{frame:06d}", (".png",))
     return files
 
 

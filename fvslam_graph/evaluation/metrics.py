@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import SAME_INSTANT, Association, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
 from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
-from fvslam_graph.files import write_json, writing
+from fvslam_graph.files import replacing, write_file, write_json, writing
 from fvslam_graph.results import Relatives
 from fvslam_graph.run_folder import METRICS, REFERENCE
 from fvslam_graph.trajectory import Trajectory
@@ -101,9 +102,12 @@ class Evaluation:
 
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            self.association.reference.write_tum(folder / REFERENCE)
+            with replacing(folder / REFERENCE) as path:
+                self.association.reference.write_tum(path)
             for name, result in self.errors.items():
-                save_res_file(folder / f"{name}.zip", result)
+                archive = io.BytesIO()
+                save_res_file(archive, result)
+                write_file(folder / f"{name}.zip", archive.getvalue())
             write_json(folder / METRICS, self.summary())
 
 

@@ -94,7 +94,8 @@ def relative_errors(
 
     Args:
         association: Says which frames have a reference; its estimate must be all frames that `relatives` is about.
-        relatives: Motions that have a covariance are compared, where both of their frames have a reference.
+        relatives: Motions that have a covariance other than zero are compared, where both of their frames have a
+            reference.
         scale: Factor on the estimated translations (Sim3 alignment).
 
     Returns:
@@ -103,7 +104,7 @@ def relative_errors(
     count = len(relatives.previous)
     row = np.full(count, -1)
     row[association.indices] = np.arange(len(association.indices))
-    described = np.isfinite(relatives.covariances).all(axis=(1, 2))
+    described = np.isfinite(relatives.covariances).all(axis=(1, 2)) & relatives.covariances.any(axis=(1, 2))
     frames = np.flatnonzero(described & (row >= 0) & (row[relatives.previous] >= 0))
     metric = np.repeat([1.0, scale], 3)
     errors = np.empty((len(frames), 6))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
@@ -16,7 +17,8 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import Association
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluation_of
-from fvslam_graph.files import writing
+from fvslam_graph.files import one_line, write_file, writing
+from fvslam_graph.ownership import claim_files
 from fvslam_graph.results import Relatives, Run
 from fvslam_graph.trajectory import Status, Trajectory
 
@@ -44,7 +46,9 @@ STYLE = {
     "pdf.fonttype": 42,  # text stays text in the PDF
     "svg.fonttype": "none",  # and in the SVG
     "svg.hashsalt": "fvslam",
+    "text.parse_math": False,  # a dollar in a name is a dollar
 }
+LONGEST = 60  # characters of a name in a figure
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,7 @@ def plot_runs(
     }
     files = []
     with writing(out), matplotlib.rc_context(STYLE):
-        out.mkdir(parents=True, exist_ok=True)
+        claim_files(out, [f"plot_{name}{suffix}" for name in figures for suffix in suffixes])
         for name in figures:
             if name == "error" and not any(curve.evaluation for curve in curves):
                 continue
@@ -120,6 +124,13 @@ def plot_runs(
             drawings[name](figure, curves, truth)
             files += save(figure, out / f"plot_{name}", suffixes)
     return files
+
+
+def legible(name: str) -> str:
+    """A name as it is written in figures; matplotlib leaves what begins with an underscore out of legends."""
+    name = one_line(name)
+    short = name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+    return f" {short}" if short.startswith("_") else short
 
 
 def save(figure: Figure, stem: Path, suffixes: Sequence[str]) -> list[Path]:
@@ -130,7 +141,9 @@ def save(figure: Figure, stem: Path, suffixes: Sequence[str]) -> list[Path]:
     for suffix in suffixes:
         files.append(stem.with_name(stem.name + suffix))
         undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix)
-        figure.savefig(files[-1], metadata=undated)
+        content = io.BytesIO()
+        figure.savefig(content, format=suffix[1:], metadata=undated)
+        write_file(files[-1], content.getvalue())
     return files
 
 
@@ -171,9 +184,9 @@ def _figure(curves: Sequence[_Curve]) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 7), layout="constrained")
-    sequence = curves[0].run.info.get("sequence", "unnamed sequence")
+    sequence = legible(curves[0].run.info.get("sequence") or "unnamed sequence")
     alignments = {str(curve.evaluation.alignment) for curve in curves if curve.evaluation}
-    sources = {str(curve.run.info.get("scale_source", "unknown")) for curve in curves}
+    sources = {curve.run.info.get("scale_source") or "unknown" for curve in curves}
     shares = sorted({f"{100 * curve.run.coverage:.0f} %" for curve in curves})
     facts = (
         "online trajectory",
@@ -194,7 +207,7 @@ def _draw_trajectory(figure: Figure, curves: Sequence[_Curve], truth: Trajectory
     above, side = figure.subplots(2, 1, height_ratios=(2, 1))
     for axes, (x, y) in ((above, (0, 1)), (side, (1, 2))):
         for curve in curves:
-            axes.plot(*curve.estimate.positions[:, (x, y)].T, color=curve.colour, label=curve.run.name)
+            axes.plot(*curve.estimate.positions[:, (x, y)].T, color=curve.colour, label=legible(curve.run.name))
         if truth:
             axes.plot(*truth.positions[:, (x, y)].T, **TRUTH)
         axes.plot(*(truth or curves[0].estimate).positions[0, (x, y)], "o", color="black", markersize=5, label="start")
@@ -210,7 +223,7 @@ def _draw_error(figure: Figure, curves: Sequence[_Curve], _: Trajectory | None) 
         for curve in curves:
             if curve.evaluation is not None:
                 error = curve.evaluation.errors[key]
-                name = f"{curve.run.name} (RMSE {curve.evaluation.errors['ape_trans'].stats['rmse']:.3g} m)"
+                name = f"{legible(curve.run.name)} (RMSE {curve.evaluation.errors['ape_trans'].stats['rmse']:.3g} m)"
                 distances = error.np_arrays["distances_from_start"]
                 axes.plot(distances, error.np_arrays["error_array"], color=curve.colour, label=name)
         axes.set_ylabel(f"absolute error,\n{label}")
@@ -224,7 +237,7 @@ def _draw_speed(figure: Figure, curves: Sequence[_Curve], truth: Trajectory | No
     speed, *panels = np.atleast_1d(figure.subplots(1 + len(scaled), 1, sharex=True))
     begin = min(float(curve.run.online.stamps[0]) for curve in curves)
     for curve in curves:
-        speed.plot(*_speeds(curve.estimate, begin), color=curve.colour, label=curve.run.name)
+        speed.plot(*_speeds(curve.estimate, begin), color=curve.colour, label=legible(curve.run.name))
     if truth:
         speed.plot(*_speeds(truth, begin), **TRUTH)
     speed.set_ylabel("speed (m/s)")
@@ -238,8 +251,8 @@ def _draw_speed(figure: Figure, curves: Sequence[_Curve], truth: Trajectory | No
             axes.fill_between(times, scale - margin, scale + margin, color=curve.colour, alpha=0.25, linewidth=0)
         if curve.evaluation is not None and curve.run.relatives is not None:
             axes.plot(times, _baselines(curve.evaluation.association, curve.run.relatives)[known], **TRUTH)
-        axes.set_ylabel("scale $\\pm 2\\sigma$\n(m per baseline)")
-        axes.set_title(curve.run.name, fontsize=9)
+        axes.set_ylabel("scale ± 2σ\n(m per baseline)")
+        axes.set_title(legible(curve.run.name), fontsize=9)
     (panels or [speed])[-1].set_xlabel("time (s)")
     _legend(figure, speed)
 
@@ -250,9 +263,8 @@ def _draw_features(figure: Figure, curves: Sequence[_Curve], _: Trajectory | Non
         frames = curve.run.frames
         for name, alpha in (("tracks", 0.4), ("inliers", 1.0)):
             if name in frames:
-                axes.plot(
-                    frames["index"], frames[name], color=curve.colour, alpha=alpha, label=f"{name}, {curve.run.name}"
-                )
+                line = f"{name}, {legible(curve.run.name)}"
+                axes.plot(frames["index"], frames[name], color=curve.colour, alpha=alpha, label=line)
         for status, colour in STATUS_COLOURS.items():
             here = frames["status"] == status
             edges = np.flatnonzero(np.diff(here, prepend=False, append=False)).reshape(-1, 2)

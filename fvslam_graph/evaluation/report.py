@@ -45,12 +45,12 @@ def runs_table(folders: Sequence[Path]) -> Table:
 
 def summary_table(evaluation: Evaluation) -> RichTable:
     """All metrics of one trajectory as a table for the terminal, with the notes below."""
-    from rich.markup import escape
     from rich.table import Table as RichTable
+    from rich.text import Text
 
     association = evaluation.association
     how = "with the reference interpolated" if association.interpolated else "by nearest stamps"
-    table = RichTable(title=escape(evaluation.name), caption=escape("\n".join(evaluation.notes)), show_header=False)
+    table = RichTable(title=Text(evaluation.name), caption=Text("\n".join(evaluation.notes)), show_header=False)
     if evaluation.coverage is not None:
         table.add_row("coverage", f"{100 * evaluation.coverage:.1f} % of {evaluation.frames} frames")
     table.add_row("association", f"{len(association.indices)} of {evaluation.poses} poses {how}")
@@ -76,18 +76,29 @@ def summary_table(evaluation: Evaluation) -> RichTable:
 def _row(folder: Path, run: Run) -> list[str]:
     path = folder / METRICS
     try:
-        metrics = json.loads(path.read_text()) if path.exists() else {}
-    except (OSError, ValueError) as error:
+        cells = _metric_cells(json.loads(path.read_text()) if path.exists() else {})
+    except (OSError, ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
         raise ResultsError(f"{path} cannot be read, evaluate the run again: {error}") from None
+    if (run.info.get("smoothed") or "").startswith("not determined"):
+        cells[2] = "not determined"
     seen = np.isin(run.frames.get("status", ()), (Status.TRACKED, Status.STATIC)).mean() if len(run.online) else np.nan
     times = [column for name, column in run.frames.items() if name.endswith("_ms") and name != "read_ms"]
+    peak = run.info.get("totals", {}).get("peak_memory_mb")
     return [
         run.name,
-        run.info.get("mode", "-"),
-        run.info.get("scale_source", "-"),
-        run.info.get("status", "-"),
+        *(run.info.get(key) or "-" for key in ("mode", "scale_source", "status")),
         _cell(100 * run.coverage, ".1f", " %"),
         _cell(100 * run.coverage * seen, ".1f", " %"),
+        *cells,
+        _cell(float(np.median(np.sum(times, axis=0))) if times else None, ".1f"),
+        _cell(peak if isinstance(peak, float | int) else None, ".0f"),
+    ]
+
+
+def _metric_cells(metrics: dict[str, Any]) -> list[str]:
+    """The columns from `align` to NEES."""
+    nees = metrics.get("nees")
+    return [
         metrics.get("alignment", "-"),
         _cell(_pick(metrics, "ape_trans", "rmse"), ".3f"),
         _cell(metrics.get("ape_smoothed"), ".3f"),
@@ -95,9 +106,7 @@ def _row(folder: Path, run: Run) -> list[str]:
         _cell(_pick(metrics, "rpe_trans", "rmse"), ".4f"),
         _cell(_pick(metrics, "drift", "t_rel"), ".2f"),
         _cell(_pick(metrics, "drift", "r_rel"), ".3f"),
-        _consistency(metrics.get("nees")),
-        _cell(float(np.median(np.sum(times, axis=0))) if times else None, ".1f"),
-        _cell(_pick(run.info, "totals", "peak_memory_mb"), ".0f"),
+        f"{nees['mean']:.2f} ({nees['low']:.2f}-{nees['high']:.2f})" if nees else "-",
     ]
 
 
@@ -108,7 +117,3 @@ def _pick(data: dict[str, Any], group: str, key: str) -> float | None:
 
 def _cell(value: float | None, style: str, unit: str = "") -> str:
     return "-" if value is None or np.isnan(value) else f"{value:{style}}{unit}"
-
-
-def _consistency(nees: dict[str, float] | None) -> str:
-    return f"{nees['mean']:.2f} ({nees['low']:.2f}-{nees['high']:.2f})" if nees else "-"

@@ -46,7 +46,7 @@ def evaluation_of(
     Raises:
         FvslamError: Something cannot be read, there is no reference, or the two have no time in common.
     """
-    align, name = Alignment(align), "estimate"
+    align, name = Alignment.named(align), "estimate"
     if isinstance(estimated, str | Path):
         path = Path(estimated)
         estimated, name = (read_run(path) if is_folder(path) else Trajectory.read(path)), path.stem
@@ -65,6 +65,8 @@ def _of_run(run: Run, reference: Trajectory | None, align: Alignment, time_offse
         raise ResultsError(
             f"{run.folder or run.name} has no ground truth; give a reference trajectory (TUM or KITTI file)"
         )
+    if not len(run.online):
+        raise ResultsError(f"{run.folder or run.name} holds no poses to evaluate")
     relatives = run.relatives
     if relatives is not None:
         tracked = (run.frames["status"] == Status.TRACKED)[:, None, None]
@@ -72,6 +74,8 @@ def _of_run(run: Run, reference: Trajectory | None, align: Alignment, time_offse
     evaluation = evaluate(run.online, truth, align, run.name, run.info.get("frames"), relatives, time_offset)
     if run.smoothed is None:
         return evaluation
-    errors = evaluate(run.smoothed, truth, align, time_offset=time_offset).errors
-    smoothed = float(errors["ape_trans"].stats["rmse"]) if "ape_trans" in errors else np.nan
-    return replace(evaluation, smoothed=smoothed)
+    try:
+        errors = evaluate(run.smoothed, truth, align, time_offset=time_offset).errors
+    except TrajectoryError:  # too few of its poses are determined
+        return evaluation
+    return replace(evaluation, smoothed=float(errors["ape_trans"].stats["rmse"]))

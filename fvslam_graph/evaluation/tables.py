@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from fvslam_graph.files import one_line
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
@@ -12,8 +15,12 @@ if TYPE_CHECKING:
 _LATEX = {
     "\\": r"\textbackslash{}",
     **{character: f"\\{character}" for character in "&%$#_{}"},
+    **{character: f"{{{character}}}" for character in "[]*"},  # which the end of the row before would take as its own
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
 }
 
 
@@ -36,14 +43,14 @@ class Table:
     def markdown(self) -> str:
         """As a Markdown table with the caption below."""
         rule = ["---"] * self.words + ["---:"] * (len(self.columns) - self.words)
-        cells = ([cell.replace("|", "\\|") for cell in row] for row in self.rows)
-        table = "".join(f"| {' | '.join(row)} |\n" for row in (self.columns, rule, *cells))
-        return table + (f"\n{self.caption}\n" if self.caption else "")
+        head, *cells = ([re.sub(r"([\\|<`*])", r"\\\1", one_line(cell)) for cell in row] for row in self._lines)
+        table = "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *cells))
+        return table + (f"\n{one_line(self.caption)}\n" if self.caption else "")
 
     def latex(self) -> str:
         """As a LaTeX table environment; needs the package booktabs."""
         alignment = "l" * self.words + "r" * (len(self.columns) - self.words)
-        head, *body = (" & ".join(map(_escaped, row)) + r" \\" for row in (self.columns, *self.rows))
+        head, *body = (" & ".join(map(_escaped, row)) + r" \\" for row in self._lines)
         lines = [r"\toprule", head, r"\midrule", *body, r"\bottomrule"]
         return "\n".join(
             (
@@ -60,19 +67,22 @@ class Table:
 
     def rich(self, across: bool = False) -> RichTable:
         """For the terminal; `across` makes a column of each row, which fits where there are few rows."""
-        from rich.markup import escape
         from rich.table import Table as RichTable
+        from rich.text import Text
 
-        lines = [self.columns, *self.rows]
-        names, *rows = zip(*lines, strict=True) if across else lines
-        table = RichTable(caption=escape(self.caption))
+        names, *rows = zip(*self._lines, strict=True) if across else self._lines
+        table = RichTable(caption=Text(self.caption))
         for number, name in enumerate(names):
             left = number == 0 if across else number < self.words
-            table.add_column(escape(name), justify="left" if left else "right")
+            table.add_column(Text(name), justify="left" if left else "right")
         for row in rows:
-            table.add_row(*map(escape, row))
+            table.add_row(*map(Text, row))
         return table
+
+    @property
+    def _lines(self) -> Sequence[Sequence[str]]:
+        return [self.columns, *self.rows]
 
 
 def _escaped(text: str) -> str:
-    return "".join(_LATEX.get(character, character) for character in text)
+    return "".join(_LATEX.get(character, character) for character in one_line(text))

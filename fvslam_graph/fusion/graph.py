@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
+from fvslam_graph.errors import EstimationError
 from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
 from fvslam_graph.fusion.factors import (
     SHORT,
@@ -155,16 +156,30 @@ class Graph:
                 self._poses[frame] = self.solver.pose(pose_key(frame))
         return np.array([self._poses[frame].translation() for frame in frames])
 
+    @property
+    def frames(self) -> int:
+        """How many there are."""
+        return len(self._poses)
+
     def smoothed(self) -> Trajectory:
-        """All poses, by all measurements; those that a fixed lag has left behind, as they were when they left."""
-        if self._factors.size():
-            self._solve()
-        self.solver.settle()
-        estimate = self.solver.values()
-        for key in estimate.keys():  # noqa: SIM118
-            if is_pose(key):
-                self._poses[gtsam.Symbol(key).index()] = estimate.atPose3(key)
-        return Trajectory(np.array(self._stamps), tuple(self._poses))
+        """All poses, by all measurements; those that a fixed lag has left behind, as they were when they left.
+
+        Poses that are not determined are left out.
+
+        Raises:
+            EstimationError: The graph cannot be solved.
+        """
+        try:
+            if self._factors.size():
+                self._solve()
+            self.solver.settle()
+            estimate = self.solver.values()
+        except (RuntimeError, ValueError, IndexError) as error:  # as which GTSAM's exceptions arrive
+            raise EstimationError(f"the factor graph cannot be solved: {' '.join(str(error).split())}") from None
+        poses = dict(enumerate(self._poses))
+        poses |= {gtsam.Symbol(key).index(): estimate.atPose3(key) for key in estimate.keys() if is_pose(key)}  # noqa: SIM118
+        known = [frame for frame, pose in poses.items() if np.isfinite(pose.matrix()).all()]
+        return Trajectory(np.array(self._stamps)[known], tuple(poses[frame] for frame in known))
 
     def write(self, folder: Path) -> None:
         """Write the graph into a folder, see `write_graph`."""
@@ -246,7 +261,9 @@ class Graph:
         self._values.insert(key, value)
 
     def _solve(self) -> None:
-        self.solver.update(self._factors, self._values, self._seen)
+        batch = self._factors, self._values, self._seen
+        self._begin_batch()  # taken in once, also where it cannot be solved
+        self.solver.update(*batch)
         for index in range(max(self._fused - RECENT, 0), len(self._poses)):
             if self.has(index):
                 self._poses[index] = self.solver.pose(pose_key(index))
@@ -254,7 +271,6 @@ class Graph:
             self._scales.forget()
             within = (item for item in self._distances.items() if self.solver.has(landmark_key(item[0])))
             self._distances = dict(within)
-        self._begin_batch()
 
     def _begin_batch(self) -> None:
         """What the next update of the solver takes in."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.files import replacing, write_file
 from fvslam_graph.fusion.factors import is_landmark, is_pose, length_factor, pose_key
 
 G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
@@ -28,6 +31,9 @@ def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gts
         folder: Exists.
         factors, estimate: Of the solver.
         lengths: Of motions whose length is not in their own factor, with the scale that was found.
+
+    Raises:
+        OSError: A file cannot be written.
     """
     values, poses, points = gtsam.Values(), gtsam.Values(), []
     for key in estimate.keys():  # noqa: SIM118
@@ -48,12 +54,15 @@ def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gts
     for (first, second), (metres, sigma) in lengths.items():
         if values.exists(pose_key(first)):
             whole.add(length_factor(first, second, metres, sigma))
-    gtsam.writeG2o(motions, poses, str(folder / G2O))
+    with replacing(folder / G2O) as path:
+        gtsam.writeG2o(motions, poses, str(path))
+        if path.read_bytes().count(b"\n") != poses.size() + motions.size():  # GTSAM does not say that a disk is full
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
     kinds = {type(whole.at(slot)) for slot in range(whole.size())}
     if gtsam.EssentialMatrixConstraint not in kinds:
-        (folder / FACTORS).write_text(whole.serialize())
-    (folder / VALUES).write_text(values.serialize())
-    (folder / LANDMARKS_PLY).write_text(_ply(np.array(points).reshape(-1, 3)))
+        write_file(folder / FACTORS, whole.serialize())
+    write_file(folder / VALUES, values.serialize())
+    write_file(folder / LANDMARKS_PLY, _ply(np.array(points).reshape(-1, 3)))
 
 
 def _plain(factor: gtsam.BetweenFactorPose3, lengths: Lengths) -> gtsam.BetweenFactorPose3:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings
+from fvslam_graph.config import GraphSettings, GroundSettings
 from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
 from fvslam_graph.fusion.fusion import Fusion
 from fvslam_graph.fusion.graph import Graph
@@ -28,13 +28,22 @@ class GraphFusion(Fusion):
         settings: Of the graph.
         ground: Below the camera, where its height is measured.
         relative: Nothing tells metres.
+        roughness: Share of the height by which true ground departs from its plane, which a height measures, too.
     """
 
-    def __init__(self, camera: Camera, settings: GraphSettings, ground: Ground | None, relative: bool = False) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        settings: GraphSettings,
+        ground: Ground | None,
+        relative: bool = False,
+        roughness: float = GroundSettings().roughness,
+    ) -> None:
         super().__init__()
         self.graph: Graph = Graph(camera, settings, relative)
         self._settings = settings
         self._down = ground.normal if ground is not None and settings.heights else None
+        self._roughness = roughness
         self._newest = 0  # frame
         # Online poses of the newest frame and of the one that its motion starts from. Where this is before the last
         # P_f, what the motion to P_f erred about is not counted: the next motion does without it.
@@ -58,7 +67,8 @@ class GraphFusion(Fusion):
         else:
             self._poses = {previous: start, frame.index: start.compose(motion)}
         if self._down is not None and frame.height > 0:
-            self.graph.add_height(frame.height, frame.height_sigma, self._down)
+            sigma = math.hypot(frame.height_sigma, self._roughness * frame.height)
+            self.graph.add_height(frame.height, sigma, self._down)
 
     @property
     def pose(self) -> GaussianPose:

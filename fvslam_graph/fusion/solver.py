@@ -83,8 +83,14 @@ class Solver:
             self._repair(error)
 
     def values(self) -> gtsam.Values:
-        """The estimate of all variables, with landmarks that were summed up."""
-        values = self._solver.calculateEstimate()
+        """The estimate of all variables, with landmarks that were summed up.
+
+        Where one is not determined, GTSAM has none of any: they are then where they were linearised.
+        """
+        try:
+            values = self._solver.calculateEstimate()
+        except RuntimeError:
+            values = gtsam.Values(self._isam.getLinearizationPoint())
         self._sightings.insert_summed_up(values)
         return values
 

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import yaml
 
-from fvslam_graph.errors import FvslamError
+from fvslam_graph.errors import FvslamError, StudyError
 from fvslam_graph.evaluation.plots import plot_runs
-from fvslam_graph.files import writing
+from fvslam_graph.files import file_name, write_file, writing
+from fvslam_graph.ownership import Kind, claimed
 from fvslam_graph.results import Run
 from fvslam_graph.run_folder import read_run
 from fvslam_graph.study.declaration import Study
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.external import external_row
 from fvslam_graph.study.figures import SUFFIXES, draw_study
-from fvslam_graph.study.job import Row, words
+from fvslam_graph.study.job import Row
 from fvslam_graph.study.outcome import Outcome
 from fvslam_graph.study.report import write_report
 from fvslam_graph.study.statistics import differences
+
+_log = logging.getLogger(__name__)
 
 Watch = Callable[[Iterable[tuple[int, Row]], int], Iterable[tuple[int, Row]]]
 """Takes rows as they come and how many there will be; hands them on."""
@@ -40,32 +44,47 @@ def carry_out(
 
     Args:
         study: What to run.
-        out: Folder; that of the same study, interrupted or changed, is gone on with.
+        out: Folder; that of a study, interrupted or changed, is gone on with.
         workers, scheduler: As for `execute_all`.
         watch: To show the progress.
 
     Raises:
         ConfigError: A setting is unknown or out of its range.
-        StudyError: The scheduler does not answer.
-        ResultsError: The folder cannot be written.
+        StudyError: The scheduler does not answer, or runs fail that have their results in this folder.
+        ResultsError: The folder holds something else than a study, is in use, or cannot be written.
     """
+    study = study.below(Path.cwd())
     jobs = study.jobs()
-    with writing(out):
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "study.yaml").write_text(yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False))
-    rows: dict[int, Row] = dict(watch(execute_all(jobs, out / "runs", study.align, workers, scheduler), len(jobs)))
-    others = list(_external(study))
-    outcome = Outcome.of([*(rows[number] for number in range(len(jobs))), *(row for row, _ in others)], study.align)
-    outcome.write(out)
-    found = differences(outcome)
-    with writing(out):
-        figures = draw_study(outcome, found, out / "figures")
-        trajectories = {
-            source.label: _draw_trajectories(outcome, source.label, [run for _, run in others if run], out)
-            for source in study.sequences
-        }
-        write_report(study, outcome, found, figures, trajectories, out / "report.html")
+    with claimed(out, Kind.STUDY):
+        others = list(_external(study))
+        for row, _ in others:
+            if row["status"] != "finished":
+                _log.warning("%s on %s: %s", row["mode"], row["sequence"], row["status"])
+        rows: dict[int, Row] = dict(watch(execute_all(jobs, out / "runs", study.align, workers, scheduler), len(jobs)))
+        outcome = Outcome.of([*(rows[number] for number in range(len(jobs))), *(row for row, _ in others)], study.align)
+        _require_no_loss(outcome, out)
+        found = differences(outcome)
+        with writing(out):
+            figures = draw_study(outcome, found, out / "figures")
+            trajectories = {
+                source.label: _draw_trajectories(outcome, source.label, [run for _, run in others if run], out)
+                for source in study.sequences
+            }
+            write_report(study, outcome, found, figures, trajectories, out / "report.html")
+            write_file(out / "study.yaml", yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False))
+        outcome.write(out)
     return outcome
+
+
+def _require_no_loss(outcome: Outcome, out: Path) -> None:
+    """Refuse to write over the results of runs that have come to their end, and fail now."""
+    lost = outcome.lost(out)
+    if len(lost):
+        first = lost.iloc[0]
+        raise StudyError(
+            f"{len(lost)} runs fail that had come to their end ({first['mode']} on {first['sequence']} now "
+            f"{first['status']}); the results in {out} are left as they were, choose another folder for the new ones"
+        )
 
 
 def _external(study: Study) -> Iterator[tuple[Row, Run | None]]:
@@ -94,5 +113,5 @@ def _draw_trajectories(outcome: Outcome, sequence: str, others: list[Run], out: 
     runs += [run for run in others if run.info["sequence"] == sequence]
     if not runs:
         return []
-    folder = out / "figures" / words(sequence)
+    folder = out / "figures" / file_name(sequence)
     return plot_runs(runs, folder, outcome.align, ("trajectory", "error"), SUFFIXES)

@@ -14,7 +14,8 @@ from fvslam_graph.complaints import complaint
 from fvslam_graph.config import Mode, load_config
 from fvslam_graph.errors import ConfigError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.job import Job, Source, words
+from fvslam_graph.files import file_name
+from fvslam_graph.study.job import Job, Source
 from fvslam_graph.yaml_files import read_yaml_mapping
 
 
@@ -85,6 +86,19 @@ class Study(BaseModel):
                 raise ValueError(f"external: '{name}' is none of the sequences {', '.join(labels)}")
         return self
 
+    def below(self, folder: Path) -> Self:
+        """The same study where its relative paths are those of this folder: absolute, they mean the same anywhere."""
+
+        def absolute(path: str) -> str:
+            return path if path.startswith("synthetic:") else str(folder.absolute() / Path(path).expanduser())
+
+        sequences = tuple(source.model_copy(update={"path": absolute(source.path)}) for source in self.sequences)
+        external = {
+            sequence: {name: absolute(path) for name, path in files.items()}
+            for sequence, files in self.external.items()
+        }
+        return self.model_copy(update={"sequences": sequences, "external": external})
+
     def jobs(self) -> list[Job]:
         """All runs, sequence by sequence.
 
@@ -117,9 +131,6 @@ def load_study(file: Path) -> Study:
     """
     content = read_yaml_mapping(file, StudyError)
 
-    def below(path: str) -> str:
-        return str(file.parent / Path(path).expanduser())
-
     try:
         study = Study.model_validate({"name": file.stem} | content)
         study.jobs()
@@ -127,14 +138,7 @@ def load_study(file: Path) -> Study:
         raise StudyError(f"{file}: {complaint(error, Study, 'entry')}") from None
     except ConfigError as error:
         raise StudyError(f"{file}: {error}") from None
-    sequences = tuple(
-        source if source.path.startswith("synthetic:") else source.model_copy(update={"path": below(source.path)})
-        for source in study.sequences
-    )
-    external = {
-        sequence: {name: below(path) for name, path in files.items()} for sequence, files in study.external.items()
-    }
-    return study.model_copy(update={"sequences": sequences, "external": external})
+    return study.below(file.parent)
 
 
 def comparison(
@@ -152,8 +156,8 @@ def comparison(
         StudyError: A value is not possible.
         ConfigError: A setting is unknown or out of its range.
     """
-    label = Source(path=str(sequence)).label
     try:
+        label = Source(path=str(sequence)).label
         study = Study.model_validate(
             {
                 "name": f"Comparison on {label}",
@@ -174,7 +178,7 @@ def comparison(
 
 def default_folder(study: Study) -> Path:
     """Where a study is kept if nothing else is said."""
-    return Path("runs") / words(study.name.lower())
+    return Path("runs") / file_name(study.name.lower())
 
 
 def _setting(name: str, value: Any) -> str:

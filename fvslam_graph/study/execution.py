@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import logging
 import os
-import shutil
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 
 from fvslam_graph.errors import FvslamError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.ownership import Kind, claimed, disown
 from fvslam_graph.study.job import Job, Row, Source, execute, kept, render
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 # Instead of dask's own, with which every large array is fetched from the system anew: rendering takes five
 # times as long.
@@ -55,11 +59,11 @@ def execute_all(
             pending[number] = folder
         else:
             yield number, row
-    images = runs.parent / "images"
+    images = runs / "rendered"
     workers = min(workers or os.cpu_count() or 1, len(pending))
     if pending and (scheduler is not None or workers > 1):
         yield from _distributed(jobs, pending, align, images, workers, scheduler)
-    else:
+    elif pending:
         yield from _one_by_one(jobs, pending, align, images)
 
 
@@ -67,12 +71,14 @@ def _one_by_one(
     jobs: Sequence[Job], pending: Mapping[int, Path], align: Alignment, images: Path
 ) -> Iterator[tuple[int, Row]]:
     """In this process."""
-    with _removed(images):
+    with _kept_for_now(images):
         rendered: dict[Source, Path | None] = {}
         for number, folder in pending.items():
             source = jobs[number].source
             if source not in rendered:
-                rendered[source] = render(source, images)
+                rendered[source] = None
+                with suppress(FvslamError):  # its runs say why
+                    rendered[source] = render(source, images)
             yield number, _attempt(jobs[number], folder, align, rendered[source])
 
 
@@ -97,13 +103,8 @@ def _distributed(
                 )
                 client = stack.enter_context(Client(stack.enter_context(cluster)))
         else:
-            try:
-                client = stack.enter_context(Client(scheduler, timeout=PATIENCE))
-            except OSError:
-                raise StudyError(
-                    f"no dask scheduler answers at {scheduler}; start one, or leave the address out"
-                ) from None
-        stack.enter_context(_removed(images))
+            client = stack.enter_context(_connected(scheduler))
+        stack.enter_context(_kept_for_now(images))
         sources = dict.fromkeys(jobs[number].source for number in pending)
         rendered = {source: client.submit(render, source, images.absolute(), pure=False) for source in sources}
         # In the order of the jobs, so that a worker stays with a recording that it has opened.
@@ -124,6 +125,21 @@ def _distributed(
             yield number, future.result() if error is None else _failed(jobs[number], error)
 
 
+def _connected(scheduler: str) -> Client:
+    from distributed import Client
+
+    try:
+        if not scheduler:  # which would begin a cluster
+            raise ValueError("it is no address")
+        return Client(scheduler, timeout=PATIENCE)
+    except Exception as error:  # as which an address comes back that is none depends on what it is like
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise StudyError(
+            f"no dask scheduler answers at '{scheduler}'; start one and give its address, such as tcp://HOST:8786, or "
+            f"leave it out ({reason})"
+        ) from None
+
+
 @contextmanager
 def _ignoring_interrupts() -> Iterator[None]:
     """Processes that begin in the block ignore Ctrl-C, which this one answers for all."""
@@ -138,13 +154,21 @@ def _ignoring_interrupts() -> Iterator[None]:
 
 
 @contextmanager
-def _removed(images: Path) -> Iterator[None]:
+def _kept_for_now(images: Path) -> Iterator[None]:
     """Rendered images are kept no longer than they are needed; those of a study that was killed are in the way."""
-    shutil.rmtree(images, ignore_errors=True)
-    try:
-        yield
-    finally:
-        shutil.rmtree(images, ignore_errors=True)
+    with claimed(images, Kind.IMAGES):
+        try:
+            _remove_images(images)
+            yield
+        finally:
+            with suppress(OSError):
+                _remove_images(images)
+                disown(images)
+
+
+def _remove_images(folder: Path) -> None:
+    for file in folder.glob("*.npz"):
+        file.unlink()
 
 
 def _on_worker(job: Job, folder: Path, align: Alignment, rendered: Path | None) -> Row:

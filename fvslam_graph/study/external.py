@@ -20,7 +20,7 @@ from fvslam_graph.trajectory import Trajectory
 
 
 def external_run(name: str, file: str, sequence: Sequence) -> Run:
-    """A trajectory file as a run on a sequence.
+    """A trajectory file as a run on a sequence: of each frame, the pose that is nearest in time.
 
     Args:
         name: Of the system.
@@ -42,6 +42,8 @@ def external_run(name: str, file: str, sequence: Sequence) -> Run:
                 f"{sequence.name}, not {trajectory.rows}; use a TUM file, which has stamps"
             )
         trajectory = _at_frames(trajectory.stamps.astype(int), trajectory, sequence, path)
+    else:
+        trajectory = _cut(trajectory, sequence)
     return Run(
         name=name,
         online=trajectory,
@@ -67,6 +69,19 @@ def external_row(name: str, file: str, sequence: Sequence, align: Alignment) -> 
         return labels | {"status": f"failed: {error}"}, None
     row = labels | {"status": "finished", "frames": len(sequence), "coverage": run.coverage} | found
     return row, run
+
+
+def _cut(trajectory: Trajectory, sequence: Sequence) -> Trajectory:
+    """The pose nearest to each frame, at most half a frame away; all, where the two have no time in common."""
+    after = np.clip(np.searchsorted(trajectory.stamps, sequence.stamps), 1, max(len(trajectory) - 1, 1))
+    pairs = np.minimum(np.stack([after - 1, after]), len(trajectory) - 1)
+    away = np.abs(trajectory.stamps[pairs] - sequence.stamps)
+    nearest = np.where(away[0] <= away[1], *pairs)
+    period = np.median(np.diff(sequence.stamps)) if len(sequence) > 1 else np.inf
+    kept = np.unique(nearest[away.min(axis=0) <= period / 2])
+    if not len(kept):  # the evaluation says how they differ
+        return trajectory
+    return replace(trajectory, stamps=trajectory.stamps[kept], poses=tuple(trajectory.poses[row] for row in kept))
 
 
 def _at_frames(frames: NDArray[np.int64], trajectory: Trajectory, sequence: Sequence, path: Path) -> Trajectory:

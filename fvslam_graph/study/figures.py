@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE, save
+from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE, legible, save
+from fvslam_graph.ownership import claim_files
 from fvslam_graph.study.outcome import EXTERNAL, Outcome
 from fvslam_graph.study.statistics import COMPARED, Difference
 
@@ -35,7 +36,7 @@ def draw_study(outcome: Outcome, found: Sequence[Difference], out: Path) -> list
         drawings["cost"] = lambda: _cost(outcome)
     if any(difference.metric == "ape" for difference in found):
         drawings["differences"] = lambda: _differences(found)
-    out.mkdir(parents=True, exist_ok=True)
+    claim_files(out, [f"{name}{suffix}" for name in drawings for suffix in SUFFIXES])
     files = []
     with matplotlib.rc_context(STYLE):
         for name, draw in drawings.items():
@@ -76,11 +77,11 @@ def _accuracy(outcome: Outcome) -> Figure:
     for axes, sequence, runs in panels:
         labels = []
         for row, (label, group) in enumerate(runs.groupby(names, sort=False)):
-            labels.append(", ".join(part for part in label if part))
+            labels.append(", ".join(legible(part) for part in label if part))
             colour = by_mode[label[0]]
             axes.plot(group["ape"], [row] * len(group), ".", color=colour, alpha=0.5)
             axes.plot(group["ape"].median(), row, "|", color=colour, markersize=14, markeredgewidth=2)
-        axes.set(title=sequence, xlabel="APE (m)", yticks=range(len(labels)), yticklabels=labels)
+        axes.set(title=legible(sequence), xlabel="APE (m)", yticks=range(len(labels)), yticklabels=labels)
         axes.set(xlim=(0, 1.05 * runs["ape"].max()), ylim=(len(labels) - 0.5, -0.5))
     figure.suptitle(
         f"online trajectories, {outcome.align} alignment; one dot a seed, a bar for the median", fontsize=10
@@ -93,8 +94,9 @@ def _cost(outcome: Outcome) -> Figure:
     figure, panels = _panels(outcome, 2.8)
     for axes, sequence, runs in panels:
         for mode, group in runs.groupby("mode", sort=False):
-            axes.plot(group["ms"], group["ape"], "o", color=by_mode[str(mode)], alpha=0.6, markersize=5, label=mode)
-        axes.set(title=sequence, xlabel="time per frame (ms)", ylabel="APE (m)")
+            name, colour = legible(str(mode)), by_mode[str(mode)]
+            axes.plot(group["ms"], group["ape"], "o", color=colour, alpha=0.6, markersize=5, label=name)
+        axes.set(title=legible(sequence), xlabel="time per frame (ms)", ylabel="APE (m)")
         axes.set_ylim(bottom=0)
         axes.set_xlim(left=0)
         handles, names = axes.get_legend_handles_labels()
@@ -123,8 +125,8 @@ def _differences(found: Sequence[Difference]) -> Figure:
                     axes.plot([difference.low, difference.high], [row, row], color=colour, linewidth=2)
                 axes.plot(difference.ratio, row, "o", color=colour, markersize=5)
         axes.axvline(1, color="black", linewidth=0.8)
-        axes.set(title=sequence, xlabel=f"ratio of {COMPARED['ape']}")
-        axes.set(yticks=range(len(pairs)), yticklabels=[f"{a} / {b}" for a, b in pairs])
+        axes.set(title=legible(sequence), xlabel=f"ratio of {COMPARED['ape']}")
+        axes.set(yticks=range(len(pairs)), yticklabels=[f"{legible(a)} / {legible(b)}" for a, b in pairs])
     panels[0].set_ylim(len(pairs) - 0.5, -0.5)
     figure.suptitle("below 1: the first is better; grey: not significant", fontsize=10)
     return figure

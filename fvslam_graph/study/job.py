@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -19,7 +21,8 @@ from fvslam_graph.errors import FvslamError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
-from fvslam_graph.files import replacing, write_json
+from fvslam_graph.files import LONGEST, file_name, replacing, write_json, writing
+from fvslam_graph.ownership import Kind, claimed, kind_of
 from fvslam_graph.pipeline import applicable, estimate, facts
 from fvslam_graph.provenance import forget_peak_memory, provenance
 from fvslam_graph.results import Run
@@ -51,7 +54,7 @@ class Source(BaseModel):
     @property
     def label(self) -> str:
         """The name in tables, also where the recording cannot be opened."""
-        return self.name or (self.path if self.path.startswith("synthetic:") else Path(self.path).name)
+        return self.name or (self.path if self.path.startswith("synthetic:") else Path(self.path).absolute().name)
 
     def open(self) -> Sequence:
         """The sequence; raises as `open_sequence` does."""
@@ -81,10 +84,11 @@ class Job:
         Raises:
             FvslamError: The source cannot be opened.
         """
-        depends_on = [_fingerprint(self.source), _code(), self.config.model_dump_json()]
+        depends_on = [self.source.label, _fingerprint(self.source), _code(), self.config.model_dump_json()]
         digest = hashlib.blake2b(json.dumps(depends_on).encode(), digest_size=8).hexdigest()
-        parts = (self.source.label, self.config.mode, self.config.preset, self.variant, self.config.seed, digest)
-        return runs / words("-".join(str(part) for part in parts if part != ""))
+        parts = (self.source.label, self.config.mode, self.config.preset, self.variant, self.config.seed)
+        words = re.sub(r"[^a-zA-Z0-9.]+", "-", "-".join(str(part) for part in parts if part != ""))
+        return runs / f"{words[:LONGEST].strip('-.')}-{digest}"
 
     def labels(self) -> Row:
         """The columns that say which run a row is."""
@@ -101,21 +105,24 @@ def render(source: Source, folder: Path) -> Path | None:
     """Render the images of a synthetic world into a file, since that takes longer than a run on them.
 
     Returns:
-        The file; None for recordings, and for worlds too large to be kept.
+        The file; None for recordings, and for worlds that there is no room to keep.
     """
     sequence = source.open()
     size = (len(sequence), sequence.camera.height, sequence.camera.width)
     if not source.path.startswith("synthetic:") or np.prod(size) > LARGEST:
         return None
-    images, usable = np.zeros(size, np.uint8), np.zeros(len(sequence), bool)
-    for index in range(len(sequence)):
-        image = sequence.load(index)
-        if image is not None:
-            images[index], usable[index] = image, True
-    folder.mkdir(parents=True, exist_ok=True)
-    with replacing(folder / f"{words(source.label)}.npz") as path:
-        np.savez(path, images=images, usable=usable)
-    return folder / f"{words(source.label)}.npz"
+    file = folder / f"{file_name(source.label)}.npz"
+    try:
+        images, usable = np.zeros(size, np.uint8), np.zeros(len(sequence), bool)
+        for index in range(len(sequence)):
+            image = sequence.load(index)
+            if image is not None:
+                images[index], usable[index] = image, True
+        with replacing(file) as path:
+            np.savez(path, images=images, usable=usable)
+    except (OSError, ValueError, MemoryError):  # no room; zipfile complains of its own handle, too
+        return None
+    return file
 
 
 def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = None) -> Row:
@@ -130,28 +137,36 @@ def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = No
     Raises:
         FvslamError: The source cannot be opened or the folder not written.
     """
-    if (row := kept(folder, align)) is not None:
+    with claimed(folder, Kind.RUN, wait=True):  # of a study that was killed, a worker may still be at it
+        if (row := kept(folder, align)) is not None:
+            return row
+        if not _finished(folder):
+            _run(job, folder, rendered)
+        run = read_run(folder)
+        evaluation = evaluate_run(folder, align=align) if run.ground_truth is not None else None
+        row = job.labels() | row_of(run, evaluation) | {"folder": folder.name}
+        with writing(folder):
+            write_json(_row_file(folder, align), row)
         return row
-    if not _finished(folder):
-        sequence = _opened(job.source, rendered)
-        config = applicable(job.config, sequence)
-        forget_peak_memory()
-        source = job.source.model_dump(exclude={"name"})
-        with RunWriter(folder, config, {**facts(sequence, config), "source": source}, sequence.ground_truth) as writer:
-            for result in estimate(sequence, config):
-                writer.add(result)
-    run = read_run(folder)
-    evaluation = evaluate_run(folder, align=align) if run.ground_truth is not None else None
-    row = job.labels() | row_of(run, evaluation) | {"folder": folder.name}
-    write_json(_row_file(folder, align), row)
-    return row
+
+
+def _run(job: Job, folder: Path, rendered: Path | None) -> None:
+    sequence = _opened(job.source, rendered)
+    config = applicable(job.config, sequence)
+    forget_peak_memory()
+    source = job.source.model_dump(exclude={"name"})
+    with RunWriter(folder, config, {**facts(sequence, config), "source": source}, sequence.ground_truth) as writer:
+        for result in estimate(sequence, config):
+            writer.add(result)
 
 
 def kept(folder: Path, align: Alignment) -> Row | None:
     """The row of a run that was done and evaluated before; None where it was not."""
     try:
         row = json.loads(_row_file(folder, align).read_text())
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(row, dict):
         return None
     # JSON has no word for what is not a number.
     return {key: np.nan if value is None else value for key, value in row.items()}
@@ -167,7 +182,7 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
     what the recording cannot tell.
     """
     status, times = run.frames["status"], [run.frames[name] for name in run.frames if name.endswith("_ms")]
-    milliseconds = np.sum(times, axis=0) - run.frames["read_ms"]
+    milliseconds = np.sum(times, axis=0) - run.frames.get("read_ms", 0.0)
     matched = run.frames.get("matched", np.array(np.nan))
     row: Row = {
         "status": run.info["status"],
@@ -176,7 +191,8 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
         "coverage": run.coverage,
         "tracked": float(np.isin(status, (Status.TRACKED, Status.STATIC)).mean()),
         "matched": float(np.nanmean(matched)) if np.isfinite(matched).any() else np.nan,
-        "ms": float(milliseconds.mean()),
+        "note": _note(run),
+        "ms": float(np.mean(milliseconds)),
         "ms_p95": float(np.percentile(milliseconds, 95)),
         "peak_mb": run.info.get("totals", {}).get("peak_memory_mb", np.nan),
     }
@@ -220,9 +236,10 @@ METRICS = (
 )
 
 
-def words(text: str) -> str:
-    """The text as a file's name."""
-    return re.sub(r"[^a-zA-Z0-9.]+", "-", text)
+def _note(run: Run) -> str:
+    """What a reader of the table has to know of a run that came to its end."""
+    smoothed = run.info.get("smoothed") or ""
+    return f"the smoothed trajectory is {smoothed}" if smoothed.startswith("not determined") else ""
 
 
 def _rmse(evaluation: Evaluation, name: str) -> float:
@@ -235,7 +252,7 @@ def _row_file(folder: Path, align: Alignment) -> Path:
 
 def _finished(folder: Path) -> bool:
     try:
-        return read_run(folder).info.get("status") == "finished"
+        return bool(read_run(folder).info["status"] == "finished")
     except FvslamError:  # none yet, or damaged since: it is done again
         return False
 
@@ -261,11 +278,19 @@ def _fingerprint(source: Source) -> list[Any]:
     for fact in known:
         digest.update(fact.tobytes() if isinstance(fact, np.ndarray) else repr(fact).encode())
     path = Path(source.path).expanduser()
-    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path][: path.is_file()]
-    for file in files:
+    for file in sorted(_files(path)):
         stat = file.stat()
         digest.update(f"{file.relative_to(path)} {stat.st_size} {stat.st_mtime_ns}\n".encode())
     return [source.model_dump(exclude={"name"}), digest.hexdigest()]
+
+
+def _files(path: Path) -> Iterator[Path]:
+    """A file, or all files of a folder but those that we have written into it, which are no part of the recording."""
+    if path.is_file():
+        yield path
+    for folder, inner, names in os.walk(path):
+        inner[:] = [name for name in inner if kind_of(Path(folder, name)) is None]
+        yield from (file for name in names if (file := Path(folder, name)).is_file())
 
 
 @cache

@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.files import replacing, writing
+from fvslam_graph.files import write_file, writing
 from fvslam_graph.study.job import METRICS, Row
 
 LABELS = ("sequence", "mode", "preset", "variant")
-RESULTS = (*LABELS, "seed", "status", "scale_source", "frames", "coverage", "tracked", "matched", *METRICS, "folder")
+RESULTS = (
+    *LABELS,
+    "seed",
+    "status",
+    "scale_source",
+    "frames",
+    "coverage",
+    "tracked",
+    "matched",
+    *METRICS,
+    "note",
+    "folder",
+)
 EXTERNAL = "external"
 """The preset of other people's systems."""
 COSTS = ("ms", "ms_p95", "peak_mb")
-_WORDS = (*LABELS, "status", "scale_source", "folder")
+_WORDS = (*LABELS, "status", "scale_source", "note", "folder")
 _COUNTS = ("seed", "frames")
 
 _SUMMARY = {  # column of the table: its name, digits, factor
@@ -63,6 +77,15 @@ class Outcome:
         """The runs that came to their end."""
         return self.table[self.table["status"] == "finished"]
 
+    def lost(self, folder: Path) -> pd.DataFrame:
+        """The runs that fail, but have come to their end by the results that a folder holds."""
+        try:
+            before = pd.read_parquet(folder / "results.parquet")
+            done = set(_keys(before[before["status"] == "finished"]))
+        except (OSError, ValueError, KeyError):  # none yet, or damaged
+            return self.table[:0]
+        return self.table[np.array([key in done for key in _keys(self.table)]) & (self.table["status"] != "finished")]
+
     @property
     def caption(self) -> str:
         """What a reader has to know of the numbers."""
@@ -90,10 +113,11 @@ class Outcome:
         return Table(columns, rows, len(shown) + 2, self.caption)
 
     def failures(self) -> Table:
-        """The runs that did not come to their end, and why."""
-        failed = self.table[self.table["status"] != "finished"]
-        columns = [*LABELS, "seed", "status"]
-        return Table(columns, failed[columns].astype(str).to_numpy().tolist(), len(columns))
+        """The runs that did not come to their end, or not with all that they should leave, and why."""
+        failed = self.table[(self.table["status"] != "finished") | (self.table["note"] != "")]
+        said = failed["status"].where(failed["note"] == "", failed["status"] + ", but " + failed["note"])
+        rows = failed[[*LABELS, "seed"]].assign(status=said).astype(object)
+        return Table(list(rows), [["-" if pd.isna(cell) else str(cell) for cell in row] for row in rows.to_numpy()], 6)
 
     def write(self, folder: Path) -> None:
         """Write results.csv, results.parquet (columns RESULTS), costs.csv, summary.md and summary.tex.
@@ -105,12 +129,17 @@ class Outcome:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             for name, table in (("results", results), ("costs", costs)):
-                with replacing(folder / f"{name}.csv") as path:
-                    table.to_csv(path, index=False)
-            with replacing(folder / "results.parquet") as path:
-                results.to_parquet(path, index=False)
-            (folder / "summary.md").write_text(self.summary().markdown())
-            (folder / "summary.tex").write_text(self.summary().latex())
+                write_file(folder / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"))
+            parquet = io.BytesIO()
+            results.to_parquet(parquet, index=False)
+            write_file(folder / "results.parquet", parquet.getvalue())
+            write_file(folder / "summary.md", self.summary().markdown())
+            write_file(folder / "summary.tex", self.summary().latex())
+
+
+def _keys(table: pd.DataFrame) -> list[tuple[Any, ...]]:
+    """What tells runs from each other."""
+    return list(zip(*(table[label] for label in LABELS), table["seed"].fillna(-1), strict=True))
 
 
 def spread(values: Iterable[float], style: str = ".3f") -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.files import replacing
+from fvslam_graph.files import write_file
 from fvslam_graph.provenance import provenance
 from fvslam_graph.study.declaration import Study
 from fvslam_graph.study.outcome import COSTS, LABELS, Outcome
@@ -69,8 +69,7 @@ def write_report(
         declaration=yaml.safe_dump(study.model_dump(mode="json", exclude_defaults=True), sort_keys=False),
         circumstances=yaml.safe_dump(provenance(), sort_keys=False),
     )
-    with replacing(file) as path:
-        path.write_text(html)
+    write_file(file, html)
 
 
 def _pictures(files: Sequence[Path]) -> list[Picture]:

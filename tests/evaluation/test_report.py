@@ -1,6 +1,7 @@
 import io
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 from rich.table import Table
@@ -56,9 +57,10 @@ def test_the_tables_hold_all_runs(make_run: MakeRun) -> None:
     assert all(name in text for name in ("good", "bad|run", "[unit]", *COLUMNS))
 
 
-def test_a_damaged_metrics_file_is_one_sentence(make_run: MakeRun) -> None:
-    folder = make_run()
-    (folder / "metrics.json").write_text("{")
+@pytest.mark.parametrize("content", ["{", "null", '{"drift": 3}', '{"ape_scaled": "x"}', '{"nees": {"mean": 1}}'])
+def test_a_damaged_metrics_file_is_one_sentence(make_run: MakeRun, content: str) -> None:
+    folder = make_run(truth=drive(20))
+    (folder / "metrics.json").write_text(content)
     with pytest.raises(ResultsError, match=r"metrics\.json cannot be read"):
         runs_table([folder])
 
@@ -75,3 +77,16 @@ def test_the_summary_holds_every_metric_that_there_is(make_run: MakeRun) -> None
     short = shown(summary_table(evaluate_run(make_run("short", truth=drive(20)))))
     assert "t_rel  " not in short
     assert "no t_rel and r_rel: the path of 19.0 m is shorter than 100 m" in short
+
+
+def test_a_smoothed_trajectory_that_is_not_determined_is_said(make_run: MakeRun) -> None:
+    assert row(make_run(smoothed="not determined: it is singular"))["smoothed (m)"] == "not determined"
+
+
+def test_covariances_that_say_nothing_have_no_nees(make_run: MakeRun) -> None:
+    folder = make_run(truth=drive(20))
+    with np.load(folder / "covariances.npz") as file:
+        arrays = dict(file)
+    np.savez(folder / "covariances.npz", **arrays | {"covariances": np.zeros((20, 6, 6))})
+    evaluation = evaluate_run(folder)
+    assert evaluation.consistency is None and any("no NEES" in note for note in evaluation.notes)

@@ -6,6 +6,7 @@ import pytest
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
+from fvslam_graph.errors import EstimationError
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.factors import is_landmark, landmark_key, pose_key, position_factor
 from fvslam_graph.fusion.graph import Graph
@@ -248,3 +249,50 @@ def test_heights_bound_the_climb(fed):
     assert graph.smoothed().positions[:, 1] == pytest.approx(np.zeros(11), abs=0.05)
     spread = graph.pose(10).covariance[3:, 3:]
     assert spread[1, 1] < 0.01 < spread[0, 0]
+
+
+class Indeterminate:
+    """iSAM2 that has no estimate of all variables, as where one is not determined."""
+
+    def __init__(self, solver):
+        self.solver = solver
+
+    def __getattr__(self, name):
+        return getattr(self.solver, name)
+
+    def calculateEstimate(self):
+        raise RuntimeError("Indeterminate linear system detected while working near variable 1")
+
+
+def test_the_path_is_smoothed_where_a_variable_is_not_determined(fed, monkeypatch):
+    best = fed(frames=21).graph.smoothed()
+    graph = fed(frames=21).graph
+    graph.solver._solver = Indeterminate(graph.solver._solver)
+    monkeypatch.setattr(Solver, "_empty", lambda self, empty=Solver._empty: Indeterminate(empty(self)))
+    smoothed = graph.smoothed()
+    assert np.abs(smoothed.matrices - best.matrices).max() < 1e-3  # of 20 m
+
+
+def test_poses_that_are_not_determined_are_left_out(fed, monkeypatch):
+    graph = fed(frames=21).graph
+
+    def values(self, values=Solver.values):
+        found = values(self)
+        found.update(pose_key(7), gtsam.Pose3(gtsam.Rot3(), np.full(3, np.nan)))
+        return found
+
+    monkeypatch.setattr(Solver, "values", values)
+    monkeypatch.setattr(Solver, "settle", lambda self: None)
+    smoothed = graph.smoothed()
+    assert len(smoothed) == graph.frames - 1 and 0.7 not in smoothed.stamps
+
+
+def test_a_graph_that_cannot_be_solved_says_so_again(fed):
+    """What it could not take in is not taken in twice, and the first reason stands."""
+    graph = fed(frames=5).graph
+    graph.add_odometry(0.5, 4, GaussianPose(gtsam.Pose3(), np.diag(MOTION**2)))
+    graph.add(gtsam.PriorFactorPose3(pose_key(99), gtsam.Pose3(), gtsam.noiseModel.Unit.Create(6)))
+    for _ in range(2):
+        with pytest.raises((EstimationError, RuntimeError, ValueError, IndexError)) as caught:
+            graph.fuse(None)
+        assert "already exists" not in str(caught.value)

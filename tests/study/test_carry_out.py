@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fvslam_graph.files import file_name
 from fvslam_graph.study.carry_out import carry_out
 from fvslam_graph.study.declaration import Study
 
@@ -46,7 +47,7 @@ def test_the_table_is_tidy(folder):
     pd.testing.assert_frame_equal(
         table,
         pd.read_csv(folder / "results.csv", dtype=dict(table.dtypes), keep_default_na=True).fillna(
-            {"scale_source": "", "variant": "", "folder": ""}
+            {"scale_source": "", "variant": "", "note": "", "folder": ""}
         ),
     )
     assert len(table) == 3 * 2 * 2 + 2
@@ -98,7 +99,7 @@ def test_latex_takes_it(folder, tmp_path):
 def test_the_figures(folder):
     names = {path.name for path in (folder / "figures").glob("*.png")}
     assert names == {"accuracy.png", "cost.png", "differences.png"}
-    for sequence in ("synthetic-uav-frames-12-size-320x240", "road-facades"):
+    for sequence in map(file_name, (SHORT, "road & facades")):
         for name in ("plot_trajectory", "plot_error"):
             for suffix in (".png", ".pdf", ".svg"):
                 assert (folder / "figures" / sequence / f"{name}{suffix}").stat().st_size > 5000

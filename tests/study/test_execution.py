@@ -101,5 +101,5 @@ def test_a_cluster_that_exists(jobs, serial, tmp_path):
 
 def test_a_cluster_that_does_not(jobs, tmp_path, monkeypatch):
     monkeypatch.setattr(execution, "PATIENCE", "100ms")
-    with pytest.raises(StudyError, match="no dask scheduler answers at tcp"):
+    with pytest.raises(StudyError, match="no dask scheduler answers at 'tcp"):
         dict(execute_all(jobs[:1], tmp_path, SIM3, scheduler="tcp://127.0.0.1:9"))
