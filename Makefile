@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 CHROMIUM := DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium fonts-dejavu-core
 
-.PHONY: help demo test lint browser lock clean
+.PHONY: help demo test fuzz lint browser lock clean
 .DEFAULT_GOAL := help
 
 help: ## This list
@@ -18,6 +18,9 @@ demo: $(READY) ## Fly over generated terrain, estimate the motion, compare and p
 
 test: lint browser ## Lint, types and all tests
 	$(BIN)/pytest
+
+fuzz: $(READY) ## Spoilt inputs, twenty times as many as among the tests
+	FVSLAM_FUZZ=20 $(BIN)/pytest tests/fuzz
 
 lint: $(READY) ## ruff and mypy
 	$(BIN)/ruff check
