@@ -271,6 +271,7 @@ def _carry_out(study: Study, out: Path, workers: int | None, scheduler: str | No
 
 def _run(sequence: Sequence, config: Config, folder: Path, source: dict[str, Any] | None = None) -> str:
     """Run, and say how many frames came out how."""
+    from fvslam_graph.files import one_line
     from fvslam_graph.pipeline import applicable, estimate, facts
     from fvslam_graph.run_folder import RunWriter
     from fvslam_graph.trajectory import Status
@@ -292,7 +293,7 @@ def _run(sequence: Sequence, config: Config, folder: Path, source: dict[str, Any
             "`fvslam info` says what is read of the recording",
             err=True,
         )
-    return f"{len(sequence)} frames of {sequence.name}: {counts}"
+    return one_line(f"{len(sequence)} frames of {sequence.name}: {counts}")
 
 
 def _progress(items: Iterable[_T], total: int, label: str) -> Iterator[_T]:

@@ -22,7 +22,7 @@ class Kind(StrEnum):
 
     RUN = "run"
     STUDY = "study"
-    IMAGES = "rendered images"
+    IMAGES = "set of rendered images"
     FIGURES = "figures"
 
 

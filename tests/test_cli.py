@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -119,6 +120,28 @@ def test_an_interrupted_run_is_kept(drive, tmp_path, monkeypatch, fvslam):
     assert code == 0 and "interrupted" in out and "33.3 %" in out
 
 
+@pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_interrupts(drive, tmp_path, monkeypatch, fvslam, stop):
+    def signalled(sequence, config, estimate=pipeline.estimate):
+        for result in estimate(sequence, config):
+            if result.index == 4:
+                signal.raise_signal(stop)
+            yield result
+
+    monkeypatch.setattr(pipeline, "estimate", signalled)
+    assert fvslam("run", drive, "--out", tmp_path / "run") == (130, "", "")
+    assert (read_run(tmp_path / "run").info["status"], len(read_run(tmp_path / "run").online)) == ("interrupted", 4)
+
+
+def test_frames_that_were_not_tracked_are_counted(drive, tmp_path, fvslam):
+    recording = shutil.copytree(drive, tmp_path / "drive")
+    for number in range(1, 12):
+        (recording / "images" / f"{number:02d}.png").write_bytes(b"")
+    code, out, err = fvslam("run", recording, "--out", tmp_path / "run")
+    assert code == 0 and out.startswith("12 frames of drive: 1 static, 11 skipped; next: ") and out.count("\n") == 1
+    assert err.startswith("drive: most frames were not tracked (1 static, 11 skipped)") and err.count("\n") == 1
+
+
 def test_evaluate_files_with_a_reference(drive, tmp_path, fvslam):
     truth = drive / "groundtruth.tum"
     code, out, err = fvslam("evaluate", truth, "--reference", truth, "--align", "sim3")
@@ -197,10 +220,16 @@ def test_the_package_is_a_program(tmp_path):
 
 
 def test_the_config_of_a_run_repeats_it(drive, tmp_path, fvslam):
-    assert fvslam("run", drive, "--out", tmp_path / "a", "--preset", "paper", "--set", "vo.min_inliers=30").code == 0
+    chosen = ("--preset", "paper", "--mode", "average", "--seed", 3, "--set", "vo.min_inliers=30")
+    assert fvslam("run", drive, "--out", tmp_path / "a", *chosen).code == 0
     assert fvslam("run", drive, "--out", tmp_path / "b", "--config", tmp_path / "a" / "config.yaml").code == 0
     config = yaml.safe_load((tmp_path / "b" / "config.yaml").read_text())
-    assert (config["preset"], config["vo"]["min_inliers"]) == ("paper", 30)
+    assert (config["preset"], config["mode"], config["seed"], config["vo"]["min_inliers"]) == (
+        "paper",
+        "average",
+        3,
+        30,
+    )
     for name in ("config.yaml", "trajectory_online.tum"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
@@ -135,15 +136,17 @@ def legible(name: str) -> str:
 
 def save(figure: Figure, stem: Path, suffixes: Sequence[str]) -> list[Path]:
     """Write a figure once for each suffix, always with the same bytes; returns the files."""
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # laid out once, and not for every format
     files = []
-    for suffix in suffixes:
-        files.append(stem.with_name(stem.name + suffix))
-        undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix)
-        content = io.BytesIO()
-        figure.savefig(content, format=suffix[1:], metadata=undated)
-        write_file(files[-1], content.getvalue())
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # of a name in letters that the font has not: boxes
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # laid out once, and not for every format
+        for suffix in suffixes:
+            files.append(stem.with_name(stem.name + suffix))
+            undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix)
+            content = io.BytesIO()
+            figure.savefig(content, format=suffix[1:], metadata=undated)
+            write_file(files[-1], content.getvalue())
     return files
 
 

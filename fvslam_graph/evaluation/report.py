@@ -11,6 +11,7 @@ import numpy as np
 
 from fvslam_graph.errors import ResultsError
 from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.files import one_line
 from fvslam_graph.results import Run
 from fvslam_graph.run_folder import METRICS, read_run
 from fvslam_graph.trajectory import Status
@@ -50,7 +51,9 @@ def summary_table(evaluation: Evaluation) -> RichTable:
 
     association = evaluation.association
     how = "with the reference interpolated" if association.interpolated else "by nearest stamps"
-    table = RichTable(title=Text(evaluation.name), caption=Text("\n".join(evaluation.notes)), show_header=False)
+    table = RichTable(
+        title=Text(one_line(evaluation.name)), caption=Text("\n".join(evaluation.notes)), show_header=False
+    )
     if evaluation.coverage is not None:
         table.add_row("coverage", f"{100 * evaluation.coverage:.1f} % of {evaluation.frames} frames")
     table.add_row("association", f"{len(association.indices)} of {evaluation.poses} poses {how}")

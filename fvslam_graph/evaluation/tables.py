@@ -43,7 +43,7 @@ class Table:
     def markdown(self) -> str:
         """As a Markdown table with the caption below."""
         rule = ["---"] * self.words + ["---:"] * (len(self.columns) - self.words)
-        head, *cells = ([re.sub(r"([\\|<`*])", r"\\\1", one_line(cell)) for cell in row] for row in self._lines)
+        head, *cells = ([re.sub(r"([\\|<`*])", r"\\\1", cell) for cell in row] for row in self._lines)
         table = "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *cells))
         return table + (f"\n{one_line(self.caption)}\n" if self.caption else "")
 
@@ -71,7 +71,7 @@ class Table:
         from rich.text import Text
 
         names, *rows = zip(*self._lines, strict=True) if across else self._lines
-        table = RichTable(caption=Text(self.caption))
+        table = RichTable(caption=Text(one_line(self.caption)))
         for number, name in enumerate(names):
             left = number == 0 if across else number < self.words
             table.add_column(Text(name), justify="left" if left else "right")
@@ -81,7 +81,7 @@ class Table:
 
     @property
     def _lines(self) -> Sequence[Sequence[str]]:
-        return [self.columns, *self.rows]
+        return [[one_line(cell) for cell in row] for row in (self.columns, *self.rows)]
 
 
 def _escaped(text: str) -> str:

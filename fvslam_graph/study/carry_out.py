@@ -82,8 +82,9 @@ def _require_no_loss(outcome: Outcome, out: Path) -> None:
     if len(lost):
         first = lost.iloc[0]
         raise StudyError(
-            f"{len(lost)} runs fail that had come to their end ({first['mode']} on {first['sequence']} now "
-            f"{first['status']}); the results in {out} are left as they were, choose another folder for the new ones"
+            f"{len(lost)} of {len(outcome.table)} runs fail that had come to their end ({first['mode']} on "
+            f"{first['sequence']}: {first['status']}); the results in {out} are left as they were, choose another "
+            "folder for the new ones"
         )
 
 

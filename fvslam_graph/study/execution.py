@@ -97,7 +97,7 @@ def _distributed(
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT}))
-            with _ignoring_interrupts():
+            with _answering_for_all():
                 cluster = LocalCluster(
                     n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
                 )
@@ -141,16 +141,23 @@ def _connected(scheduler: str) -> Client:
 
 
 @contextmanager
-def _ignoring_interrupts() -> Iterator[None]:
-    """Processes that begin in the block ignore Ctrl-C, which this one answers for all."""
-    if threading.current_thread() is not threading.main_thread():  # where there is no Ctrl-C either
+def _answering_for_all() -> Iterator[None]:
+    """Processes that begin in the block ignore Ctrl-C, which this one answers for all; SIGTERM waits for its end."""
+    if threading.current_thread() is not threading.main_thread():  # where there are no signals either
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stopped: list[int] = []
+    before = {
+        signal.SIGINT: signal.signal(signal.SIGINT, signal.SIG_IGN),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, lambda number, _: stopped.append(number)),
+    }
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if stopped:
+        signal.raise_signal(signal.SIGTERM)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.files import one_line
 from fvslam_graph.study.outcome import EXTERNAL, Outcome
 
 CONFIDENCE = 0.95
@@ -130,7 +131,7 @@ def verdicts(found: Sequence[Difference]) -> list[str]:
             said = f"fewer than {ENOUGH} {what}, too few to tell a difference from chance"
         else:
             said = "; ".join((*_better(here), f"not significant: {unclear}" if unclear else "all are significant"))
-        sentences.append(f"{COMPARED[metric]} on {sequence}: {said}.")
+        sentences.append(one_line(f"{COMPARED[metric]} on {sequence}: {said}."))
     return sentences
 
 

@@ -56,7 +56,7 @@ def test_figures_of_runs_with_any_name(make_run: MakeRun) -> None:
         for n, name in enumerate(NAMES)
     ]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a font has not all letters
+        warnings.simplefilter("error")  # the font has not all letters
         files = plot_runs(runs[:4], runs[0].folder / "plots", figures=("trajectory", "speed"), suffixes=(".svg",))
         plot_runs(runs[4:], runs[0].folder / "plots", figures=("error",), suffixes=(".svg",))
     drawn = files[0].read_text()

@@ -1,5 +1,7 @@
 """The factor graph, fed with motions and landmarks of simulated scenes; see conftest."""
 
+from pathlib import Path
+
 import gtsam
 import numpy as np
 import pytest
@@ -296,3 +298,18 @@ def test_a_graph_that_cannot_be_solved_says_so_again(fed):
         with pytest.raises((EstimationError, RuntimeError, ValueError, IndexError)) as caught:
             graph.fuse(None)
         assert "already exists" not in str(caught.value)
+
+
+def test_a_disk_that_is_full_for_gtsam(fed, tmp_path, monkeypatch):
+    """Its writer does not say so."""
+
+    def cut(factors, values, path, write=gtsam.writeG2o):
+        write(factors, values, path)
+        Path(path).write_text(Path(path).read_text()[:-30])
+
+    monkeypatch.setattr(gtsam, "writeG2o", cut)
+    graph = fed(frames=5).graph
+    graph.smoothed()
+    with pytest.raises(OSError, match="No space left on device"):
+        graph.write(tmp_path)
+    assert not (tmp_path / G2O).exists()

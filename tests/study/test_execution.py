@@ -103,3 +103,10 @@ def test_a_cluster_that_does_not(jobs, tmp_path, monkeypatch):
     monkeypatch.setattr(execution, "PATIENCE", "100ms")
     with pytest.raises(StudyError, match="no dask scheduler answers at 'tcp"):
         dict(execute_all(jobs[:1], tmp_path, SIM3, scheduler="tcp://127.0.0.1:9"))
+
+
+@pytest.mark.parametrize("address", ["foo", "http://x", "", "tcp://"])
+def test_an_address_that_is_none(jobs, tmp_path, address):
+    with pytest.raises(StudyError, match=f"no dask scheduler answers at '{address}'; start one") as caught:
+        dict(execute_all(jobs[:1], tmp_path, SIM3, scheduler=address))
+    assert "\n" not in str(caught.value)

@@ -45,3 +45,16 @@ def test_files_of_another_sequence(sequence, tmp_path):
         external_run("other", f"{tmp_path}/late.tum@0.1", sequence)
     row, _ = external_row("other", f"{tmp_path}/absent.tum", sequence, Alignment.SIM3)
     assert "absent.tum" in row["status"]
+
+
+def test_a_trajectory_is_cut_to_the_frames(drive, tmp_path):
+    """Of the whole recording, at ten times its rate, beside a study of a part of it."""
+    part_of = open_sequence(drive, frames="3:9", stride=2)
+    truth = part_of.ground_truth
+    truth.interpolate(np.arange(0, 1.1, 0.01)).write_tum(tmp_path / "dense.tum")
+    row, run = external_row("other", f"{tmp_path}/dense.tum", part_of, Alignment.SIM3)
+    assert run.online.stamps == pytest.approx(part_of.stamps)
+    assert (row["frames"], row["coverage"], row["associated"]) == (3, 1, 3)
+    part(truth, [4]).write_tum(tmp_path / "one.tum")
+    row, _ = external_row("other", f"{tmp_path}/one.tum", part_of, Alignment.SIM3)
+    assert row["status"].startswith("failed: ")
