@@ -12,7 +12,7 @@ import numpy as np
 from fvslam_graph.camera import Camera
 from fvslam_graph.errors import CameraError
 from fvslam_graph.sequences.entries import Entries
-from fvslam_graph.sequences.plausibility import folds_over, make_camera, pinhole, rigid_pose
+from fvslam_graph.sequences.plausibility import distorts_oddly, make_camera, pinhole, rigid_pose
 from fvslam_graph.sequences.tables import CalibrationText
 
 _MODEL = ("distortion_model",)
@@ -77,8 +77,8 @@ def read_calibration(path: Path) -> Calibration:
     if left := entries.left(layout.others):
         more = f" and {len(left) - 5} more" if len(left) > 5 else ""
         notes += (f"{path.name}: not understood and left out: {', '.join(left[:5])}{more}",)
-    if folds_over(camera):
-        notes += (f"{path.name}: the distortion folds the image's margin over; are its coefficients in order?",)
+    if distorts_oddly(camera):
+        notes += (f"{path.name}: the distortion is odd for a lens; is the order of its coefficients k1 k2 p1 p2 k3?",)
     return Calibration(camera, body_T_camera, rate, notes)
 
 
@@ -91,20 +91,22 @@ def projection_camera(calibration: CalibrationText, key: str, size: Sequence[flo
 def _matrix(entries: Entries) -> Camera:
     """OpenCV, both forms of ROS, this package: a 3x3 matrix."""
     size = _size(entries)
-    matrix = np.reshape(entries.numbers(*_MATRIX, count=9), (3, 3))
-    for name in ("binning_x", "binning_y"):
-        if entries.has(name) and entries.number(name) > 1:
-            raise CameraError(f"{entries.path}: '{name}' is above 1: give the matrix of the images as they are")
+    key = next(name for name in _MATRIX if entries.has(name))
+    intrinsics = pinhole(entries.path, key, np.reshape(entries.numbers(*_MATRIX, count=9), (3, 3)))
+    binning = [entries.number(name) for name in ("binning_x", "binning_y") if entries.has(name)]
+    region = entries.section("roi") if entries.has("roi") else entries
+    offsets = [region.number(name) for name in ("x_offset", "y_offset") if region.has(name)]
+    if max(binning, default=0) > 1 or any(offsets):
+        raise CameraError(f"{entries.path}: 'binning' and 'roi' are not supported: give the matrix of these images")
+    _require_pinhole(entries)
     default = "fisheye" if entries.get("fisheye_model") else ""
     model = str(entries.get(*_MODEL) or default)
-    return make_camera(entries.path, size, pinhole(entries.path, _MATRIX[0], matrix), model, _coefficients(entries))
+    return make_camera(entries.path, size, intrinsics, model, _coefficients(entries))
 
 
 def _list(entries: Entries) -> Camera:
     """EuRoC and Kalibr: fx, fy, cx, cy in a list."""
-    kind = str(entries.get("camera_model", default="pinhole"))
-    if kind.lower() != "pinhole":
-        raise CameraError(f"{entries.path}: the camera model '{kind}' is not supported, only 'pinhole' is")
+    _require_pinhole(entries)
     intrinsics = entries.numbers("intrinsics", count=4)
     model = str(entries.get(*_MODEL) or "")
     return make_camera(entries.path, _size(entries), intrinsics, model, _coefficients(entries))
@@ -161,8 +163,14 @@ LAYOUTS = (
         "|avgreprojectionerror|perviewreprojectionerrors|imagepoints|gridpoints|extrinsicparameters"
         "|cameraname|(rectification|projection)matrix|tbs|comment",
     ),
-    Layout("ROS's camera_info", "K", _matrix, "header|r|p|roi"),
+    Layout("ROS's camera_info", "K", _matrix, "header|r|p"),
 )
+
+
+def _require_pinhole(entries: Entries) -> None:
+    kind = str(entries.get("camera_model", default="pinhole"))
+    if kind.lower() != "pinhole":
+        raise CameraError(f"{entries.path}: the camera model '{kind}' is not supported, only 'pinhole' is")
 
 
 def _size(entries: Entries) -> list[float]:

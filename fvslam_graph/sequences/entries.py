@@ -14,7 +14,7 @@ from fvslam_graph.yaml_files import read_yaml_mapping
 
 CLOSE = 0.8  # similarity of two keys from which on one is taken for a typing error
 # What speaks of the lens must not be left out, however it is spelt.
-_LENS = re.compile(r".*(dist|coef|skew|radial|tangential).*|(.*\.)?[kp]\d")
+_LENS = re.compile(r".*(dist|coef|skew|radial|tangential|fisheye).*|(.*\.)?[kp]\d")
 
 
 class Entries:

@@ -15,6 +15,7 @@ from fvslam_graph.camera import MAX_SIDE, Camera, Distortion, Image, Rectifier
 from fvslam_graph.errors import CameraError, SequenceError
 from fvslam_graph.sequences.files import count_of, ranges
 
+MAX_BYTES = 500_000_000  # of a file; the largest image has 200 MB, uncompressed
 SAMPLE = 10  # images that are looked at on opening, spread over the recording
 DEPTHS = (8, 10, 12, 14, 16)  # bits that cameras have
 
@@ -31,7 +32,8 @@ def decode(path: Path) -> Levels | None:
     Colour becomes luma. Floating-point and 32-bit levels have no scale that is known, and are not read.
     """
     try:
-        data = path.read_bytes() if path.is_file() else b""  # a pipe would wait for ever
+        readable = path.is_file() and path.stat().st_size <= MAX_BYTES  # a pipe would wait for ever
+        data = path.read_bytes() if readable else b""
         if not _whole(data):
             return None
         levels: Levels | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
@@ -94,7 +96,7 @@ class ImageFiles:
             if file is None or image is None:
                 raise SequenceError(
                     f"none of the {len(files)} images can be decoded, the first is {files[0]}; "
-                    "read are images of 8 and 16 bits"
+                    f"read are 8 and 16 bits, up to {MAX_SIDE} pixels a side"
                 )
             levels[file] = image
         self._sizes = {file: image.shape[::-1] for file, image in levels.items() if image is not None}

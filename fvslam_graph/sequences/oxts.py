@@ -42,6 +42,8 @@ def read_packets(files: list[Path]) -> NDArray[np.float64]:
             packet = []
         if len(packet) != 6 or not np.all(np.isfinite(packet)):
             raise TrajectoryError(f"{file} is not an OXTS packet: it should begin with six finite numbers")
+        if abs(packet[0]) >= 90 or abs(packet[1]) > 180:
+            raise TrajectoryError(f"{file}: {packet[0]:g}, {packet[1]:g} are no degrees of latitude and longitude")
         packets.append(packet)
     return np.array(packets).reshape(-1, 6)
 

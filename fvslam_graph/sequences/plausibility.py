@@ -28,7 +28,9 @@ MODELS = {
 MIN_VIEW, MAX_VIEW = 5.0, 175.0  # degrees from side to side, as a pinhole; outside, f is in other units than pixels
 MAX_ASPECT = 3.0  # of the focal lengths
 MAX_SKEW = 1e-3  # of the focal length: a quarter of a pixel in the corners
-MAX_ASIDE = 0.2  # of the image's size, principal point off the middle; more, unless images are cut, is a mistake
+MAX_TANGENTIAL = 0.03  # of p1 and p2; ten times what lenses have
+MAX_DIFFERENCE = 1.2  # ratio of the focal lengths from which on a note says so
+MAX_ASIDE = 0.15  # of the image's size, principal point off the middle; more, unless images are cut, is a mistake
 FOLDED = 1.0  # pixels
 
 
@@ -106,14 +108,17 @@ def _require_plausible(camera: Camera) -> None:
 
 
 def doubts(camera: Camera) -> tuple[str, ...]:
-    """A note on a camera that may be that of other images, such as part of them, or none."""
+    """Notes on a camera that may be that of other images, or have its numbers in another order."""
+    notes = []
     aside = camera.cx / (camera.width - 1) - 0.5, camera.cy / (camera.height - 1) - 0.5
-    if max(map(abs, aside)) <= MAX_ASIDE:
-        return ()
-    return (
-        f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of the "
-        f"{camera.width}x{camera.height} pixels: is the calibration that of these images?",
-    )
+    if max(map(abs, aside)) > MAX_ASIDE:
+        notes.append(
+            f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of the "
+            f"{camera.width}x{camera.height} pixels: is the calibration that of these images?"
+        )
+    if not 1 / MAX_DIFFERENCE <= camera.fx / camera.fy <= MAX_DIFFERENCE:
+        notes.append(f"the focal lengths differ much, fx={camera.fx:g}, fy={camera.fy:g}: is their order fx fy cx cy?")
+    return tuple(notes)
 
 
 def pinhole(path: Path, key: str, matrix: Array) -> tuple[float, float, float, float]:
@@ -147,10 +152,12 @@ def require_rotation(path: Path, key: str, matrix: Array) -> Array:
     return matrix
 
 
-def folds_over(camera: Camera) -> bool:
-    """Whether distortion is not one to one as far as the middle of each side of the image."""
+def distorts_oddly(camera: Camera) -> bool:
+    """Whether lenses do not distort like that: folded over within the image, or tangentially as much as radially."""
     if camera.distortion not in (Distortion.RADTAN, Distortion.RATIONAL):
         return False  # beyond a right angle, a fisheye's rays are not points at unit depth
+    if np.abs(camera.coefficients[2:4]).max() > MAX_TANGENTIAL:
+        return True
     right, bottom = camera.width - 1, camera.height - 1
     pixels = np.array([[0, camera.cy], [right, camera.cy], [camera.cx, 0], [camera.cx, bottom]])
     back = camera.project(np.column_stack([camera.normalize(pixels), np.ones(4)]))

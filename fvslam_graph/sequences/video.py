@@ -20,6 +20,7 @@ LAYOUT = "a video file with a .yaml of the same name or a camera.yaml beside it"
 
 SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg"}
 DEFAULT_RATE = 30.0  # Hz
+WHOLE = 0.95  # of the frames that a header promises; some count from the duration
 UNSTEADY = 0.003  # seconds between two steps from which on a note says so; some files hold milliseconds
 
 
@@ -48,7 +49,7 @@ def read(path: Path) -> Sequence:
         camera=camera.undistorted(),
         stamps=stamps,
         load=video.load,
-        notes=calibration.notes + notes,
+        notes=calibration.notes + notes + _cut_off(video),
     )
 
 
@@ -67,6 +68,12 @@ def _stamps(video: Video, given: float | None) -> tuple[NDArray[np.float64], tup
     )
 
 
+def _cut_off(video: Video) -> tuple[str, ...]:
+    if len(video.stamps) > WHOLE * video.claimed:
+        return ()
+    return (f"the file says {video.claimed} frames, {len(video.stamps)} of them can be decoded",)
+
+
 class Video:
     """A video file that is kept open and read on; a frame behind is reached from the start.
 
@@ -80,6 +87,7 @@ class Video:
         stamps: (N,) seconds since the first frame, as decoded: what the header says of their number and rate may be
             wrong.
         rate: Frames a second, as the header says; 0 where it does not.
+        claimed: The number of frames, likewise.
         size: Width, height of the first frame, pixels.
 
     Raises:
@@ -95,6 +103,7 @@ class Video:
             raise SequenceError(f"{path} cannot be decoded as a video")
         self.size = (first.shape[1], first.shape[0])
         self.rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+        self.claimed = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
         status = path.stat()
         self.stamps = _decoded_stamps(path, status.st_size, status.st_mtime_ns)
         self._rectifier = None if camera.distortion is Distortion.NONE else Rectifier(camera, camera.undistorted())

@@ -261,9 +261,10 @@ def test_what_is_not_understood_is_a_note(tmp_path):
     )
 
 
-def test_a_distortion_that_folds_the_image_over_is_a_note(tmp_path):
-    (tmp_path / "camera.yaml").write_text(PLAIN.replace("-0.3, 0.1, 1e-3, -0.002, 0.01", "-3, 0, 0, 0"))
-    assert "the distortion folds the image's margin over" in read_calibration(tmp_path / "camera.yaml").notes[0]
+@pytest.mark.parametrize("coefficients", ["-3, 0, 0, 0", "-0.3, 0.1, 0.05, 0.001, -0.002"])
+def test_a_distortion_that_folds_over_or_is_in_another_order_is_a_note(tmp_path, coefficients):
+    (tmp_path / "camera.yaml").write_text(PLAIN.replace("-0.3, 0.1, 1e-3, -0.002, 0.01", coefficients))
+    assert "the distortion is odd for a lens" in read_calibration(tmp_path / "camera.yaml").notes[0]
 
 
 def edited(text, old, new):
@@ -288,6 +289,8 @@ REFUSED = [
     (edited(PLAIN, MATRIX, "[50, 0, 31.5, 0, 5, 23.5, 0, 0, 1]"), "the focal lengths should be nearly the same"),
     (edited(PLAIN, MATRIX, "[50, 2, 31.5, 0, 51, 23.5, 0, 0, 1]"), "'camera_matrix' has a skew of 2"),
     (PLAIN + "skew: 1\n", "'skew' is not understood"),
+    (PLAIN + "fisheye: true\n", "'fisheye' is not understood"),
+    (PLAIN + "camera_model: omni\n", "the camera model 'omni' is not supported"),
     (edited(PLAIN, COEFFICIENTS, ""), "the distortion model 'radtan' has no coefficients"),
     (edited(PLAIN, "[-0.3, 0.1, 1e-3, -0.002, 0.01]", "[]"), "the distortion model 'radtan' has no coefficients"),
     (edited(PLAIN, "model: radtan", "model: none"), "distortion 'none' takes 0 coefficients, not 5"),
@@ -317,7 +320,9 @@ REFUSED = [
     (edited(PLAIN, "64", "yes"), "'image_width' should be 1 number"),
     (edited(PLAIN, "64", "9" * 400), "too large a number"),
     (edited(PLAIN, "50.0", "1e400"), "'camera_matrix' should be 9 numbers"),
-    (edited(INFO, "binning_x: 0", "binning_x: 2"), "'binning_x' is above 1"),
+    (edited(INFO, "binning_x: 0", "binning_x: 2"), "'binning' and 'roi' are not supported"),
+    (edited(INFO, "x_offset: 0", "x_offset: 8"), "'binning' and 'roi' are not supported"),
+    (edited(INFO, MATRIX, "[50, 0, 0, 0, 51, 0, 31.5, 23.5, 1]"), "the rows of 'K' should be"),
     (edited(KALIBR, "pinhole", "omni"), "the camera model 'omni' is not supported"),
     (edited(KALIBR, "radtan", "fov"), "the distortion model 'fov' is not one of none, radtan"),
     (edited(KALIBR, "  - [1.0, 0.0, 0.0, 0.2]", "  - [0.0, 0.0, 0.0, 0.2]"), "the rotation of 'T_cam_imu' is none"),

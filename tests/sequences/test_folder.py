@@ -196,3 +196,7 @@ def test_what_is_odd_about_a_calibration_is_noted(plain_folder):
         "the principal point (10, 23.5) is far from the middle of the 64x48 pixels: "
         "is the calibration that of these images?",
     )
+    camera.write_text(camera.read_text().replace("50.0", "70").replace("owner: me\n", "").replace(" 10,", " 31.5,"))
+    assert open_sequence(plain_folder).notes == (
+        "the focal lengths differ much, fx=70, fy=51: is their order fx fy cx cy?",
+    )

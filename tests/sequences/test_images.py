@@ -158,7 +158,7 @@ def test_levels_above_those_of_the_sample_are_white(tmp_path, gray, monkeypatch)
 def test_images_without_levels_that_are_known(tmp_path, gray):
     for kind in (np.float32, np.int32):
         cv2.imwrite(str(tmp_path / "0.tif"), gray.astype(kind))
-        with pytest.raises(SequenceError, match=r"none of the 1 images can be decoded, .*8 and 16 bits"):
+        with pytest.raises(SequenceError, match=r"none of the 1 images can be decoded, .*read are 8 and 16 bits"):
             ImageFiles([tmp_path / "0.tif"])
 
 

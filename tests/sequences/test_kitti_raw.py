@@ -300,6 +300,12 @@ def test_real_packets_have_truer_stamps_than_the_images(real_data):
     assert error(sequence.ground_truth.stamps) < 0.1 < 0.3 < error(sequence.stamps)  # 0.06 and 0.46 m/s measured
 
 
+def test_degrees_that_are_none(drive):
+    (drive / "oxts" / "data" / "0000000003.txt").write_text(packet().replace("49.", "149."))
+    with pytest.raises(TrajectoryError, match=r"0000000003\.txt: 149, 8\.4 are no degrees of latitude and longitude"):
+        open_sequence(drive)
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "complaint"),
     [

@@ -104,6 +104,18 @@ def test_a_video_that_was_cut_off_is_counted(tmp_path):
     assert [number_of(sequence.load(number)) for number in (7, 8, 2)] == [7, 8, 2]
 
 
+def test_fewer_frames_than_the_header_says(tmp_path):
+    path = tmp_path / "cut.avi"
+    write_video(path).release()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    (tmp_path / "cut.yaml").write_text(CAMERA)
+    sequence = open_sequence(path)
+    assert 60 < len(sequence) < 180
+    np.testing.assert_allclose(sequence.stamps, np.arange(len(sequence)) / 25)
+    assert sequence.notes == (f"the file says {FRAMES} frames, {len(sequence)} of them can be decoded",)
+    assert number_of(sequence.load(50)) == 50
+
+
 def test_calibration_of_the_same_name_comes_first(flight):
     flight.with_suffix(".yaml").write_text(CAMERA.replace("50", "55"))
     assert open_sequence(flight).camera.fx == 55
