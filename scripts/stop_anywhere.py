@@ -38,6 +38,9 @@ def main() -> None:
     parser.add_argument("--moments", type=int, default=20, help="of each command")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # commands would ignore it where a shell's "&" has begun this
     chance = random.Random(arguments.seed)
     kinds = ["SIGKILL", "SIGTERM", "SIGINT", *(["full disk"] if os.geteuid() == 0 else [])]
     with tempfile.TemporaryDirectory() as name:
@@ -63,18 +66,14 @@ def disturb(command: str, kind: str, folder: Path, chance: random.Random, second
     size, moment = chance.randint(*DISK) + (held if command == "evaluate" else 0), chance.uniform(0.1, 1.0) * seconds
     if full:
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}k", "tmpfs", out], check=True)
+    target = out / whole.name
     try:
-        before = (
-            shutil.copytree(folder / "undisturbed-run", out / "of", symlinks=True) if command == "evaluate" else None
-        )
-    except shutil.Error:
-        before = None  # not even the run has room
-    target = before or out / "of"
-    try:
+        if command == "evaluate":
+            shutil.copytree(folder / "undisturbed-run", target)
         code, said = execute(command, folder, target, None if full else (getattr(signal, kind), moment))
         print(f"{command}, {kind} {f'{size} KB' if full else f'{moment:.1f} s'}: {code} {said[-120:]}", flush=True)
-        early = not full and code == -getattr(signal, kind)  # killed, or before Python has come to our own handler
-        assert early or ("Traceback" not in said and code in (0, 1, 130)), (code, said)
+        died = not full and code < 0  # killed, or before Python has come to our own handler, or after it
+        assert died or ("Traceback" not in said and code in (0, 1, 130)), (code, said)
         if code == 0:
             require_equal(command, target, whole)
         look(target, folder / "undisturbed-run")
