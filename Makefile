@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadscope
 CHROMIUM := DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium fonts-dejavu-core
 
-.PHONY: help demo test test-all test-numerics lint browser lock clean
+.PHONY: help demo test test-all test-numerics fuzz lint browser lock clean
 .DEFAULT_GOAL := help
 
 help: ## This list
@@ -25,6 +25,9 @@ test-all: test ## ... and the long ones, over many seeds
 
 test-numerics: $(READY) ## Those on which a processor's last bits tell; OPENBLAS_CORETYPE=Nehalem, say, is another processor
 	$(PYTEST) tests/vo tests/slam tests/fusion tests/test_pipeline.py
+
+fuzz: $(READY) ## Spoilt inputs, twenty times as many as among the tests
+	FVSLAM_FUZZ=20 $(BIN)/pytest tests/fuzz
 
 lint: $(READY) ## ruff and mypy
 	$(BIN)/ruff check

@@ -8,11 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fvslam_graph.config import Mode, load_config
-from fvslam_graph.errors import FvslamError
-from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.association import load_trajectory
 from fvslam_graph.evaluation.metrics import Evaluation
-from fvslam_graph.evaluation.metrics import evaluate as evaluate_trajectory
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.pipeline import applicable, estimate, facts
 from fvslam_graph.results import Run, collect
@@ -62,29 +58,23 @@ def run(
 
 
 def evaluate(
-    estimated: Run | Trajectory | str | Path, reference: Trajectory | str | Path | None = None, align: str = "se3"
+    estimated: Run | Trajectory | str | Path,
+    reference: Trajectory | str | Path | None = None,
+    align: str = "se3",
+    time_offset: float = 0.0,
 ) -> Evaluation:
     """Compare a trajectory with its ground truth: APE and RPE (evo), drift (KITTI), NEES.
 
     Args:
-        estimated: A run, a trajectory, or a TUM or KITTI file or run folder.
+        estimated: A run, a trajectory, a run folder, or a file in TUM's, KITTI's or the ASL layout.
         reference: A trajectory or its file; a run knows its own.
         align: "none", "origin", "se3" or "sim3".
+        time_offset: Seconds, added to the stamps of the estimate to get those of the reference (evo's --t_offset).
 
     Raises:
         FvslamError: A file cannot be read, there is no reference, or the two have no time in common.
     """
-    alignment = Alignment.named(align)
-    if isinstance(estimated, str | Path) and Path(estimated).is_dir():
-        estimated = read_run(Path(estimated))
-    truth = load_trajectory(Path(reference)) if isinstance(reference, str | Path) else reference
-    if isinstance(estimated, Run):
-        return evaluation_of(estimated, truth, alignment)
-    if truth is None:
-        raise FvslamError("a trajectory that is not that of a run needs a reference to be compared with")
-    if isinstance(estimated, Trajectory):
-        return evaluate_trajectory(estimated, truth, alignment)
-    return evaluate_trajectory(load_trajectory(Path(estimated)), truth, alignment, Path(estimated).stem)
+    return evaluation_of(estimated, reference, align, time_offset)
 
 
 def compare(

@@ -104,25 +104,21 @@ def run(
 
 @app.command()
 def evaluate(
-    estimate: Annotated[Path, typer.Argument(help="Run folder, or a TUM or KITTI file.")],
-    reference: Annotated[Path | None, typer.Option(help="TUM or KITTI file; a run knows its own ground truth.")] = None,
+    estimate: Annotated[Path, typer.Argument(help="Run folder, or a TUM, KITTI or ASL file.")],
+    reference: Annotated[Path | None, typer.Option(help="The same; a run knows its own ground truth.")] = None,
     align: Align = "se3",
+    time_offset: Annotated[
+        float, typer.Option(help="Added to the stamps of the estimate, as evo's --t_offset.", metavar="SECONDS")
+    ] = 0.0,
 ) -> None:
     """Compare a trajectory with a reference: APE, RPE, drift, coverage, consistency."""
-    from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.report import runs_table, summary_table
-    from fvslam_graph.evaluation.runs import evaluate_files, evaluate_run
+    from fvslam_graph.evaluation.runs import evaluation_of
 
-    alignment = Alignment.named(align)
-    if not estimate.exists():
-        raise FvslamError(f"{estimate} does not exist; give the folder of a run, or a TUM or KITTI file")
+    evaluation = evaluation_of(estimate, reference, align, time_offset)
     if estimate.is_dir():
-        evaluation = evaluate_run(estimate, reference, alignment)
+        evaluation.write(estimate)
         _show(runs_table([estimate]).rich(across=True))
-    elif reference is None:
-        raise FvslamError(f"{estimate} is a file: give the trajectory to compare it with by --reference")
-    else:
-        evaluation = evaluate_files(estimate, reference, alignment)
     _show(summary_table(evaluation))
 
 

@@ -1,9 +1,8 @@
-"""Stamped camera poses with their covariances, and the TUM and KITTI files that hold them."""
+"""Stamped camera poses; `trajectory_files` knows the layouts of files that hold them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.errors import TrajectoryError
+from fvslam_graph.trajectory_files import Layout, read_rows
 
 if TYPE_CHECKING:
     from evo.core.trajectory import PoseTrajectory3D
@@ -36,6 +36,8 @@ class Trajectory:
     Attributes:
         stamps: (N,) seconds, strictly increasing.
         poses: N poses world_T_camera, metres.
+        rows: How many rows its file has, where that has no stamps (KITTI): `stamps` then are numbers of rows, from 0.
+        notes: What was left out or guessed when it was read, one sentence each.
 
     Raises:
         TrajectoryError: The lengths differ, a number is not finite, or stamps do not increase.
@@ -43,13 +45,18 @@ class Trajectory:
 
     stamps: NDArray[np.float64]
     poses: tuple[gtsam.Pose3, ...]
+    rows: int | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.stamps) != len(self.poses):
             raise TrajectoryError(f"{len(self.stamps)} stamps do not fit {len(self.poses)} poses")
         _require(np.isfinite(self.stamps), "has a stamp that is not a finite number")
         _require(np.isfinite(self.matrices).all(axis=(1, 2)), "has a pose with a number that is not finite")
-        _require(np.diff(self.stamps, prepend=-np.inf) > 0, "has a stamp that is not later than the one before")
+        in_order = np.diff(self.stamps, prepend=-np.inf) > 0
+        _require(
+            in_order, "has a stamp that is not later than the one before", "sort the poses by time, each time once"
+        )
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -58,7 +65,7 @@ class Trajectory:
     def from_matrices(cls, stamps: NDArray[np.float64], matrices: NDArray[np.float64]) -> Trajectory:
         """From homogeneous matrices (N, 4, 4); rotations, which text files round, are brought back onto SO(3)."""
         _require(np.isfinite(matrices).all(axis=(1, 2)), "has a pose with a number that is not finite")
-        turns = matrices[:, :3, :3]
+        turns = np.clip(matrices[:, :3, :3], -2, 2)  # so that nothing overflows
         off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
         _require((off < 0.01) & (np.linalg.det(turns) > 0), "has a pose without a proper rotation matrix")
         return cls(np.asarray(stamps, float), tuple(pose_from_matrix(matrix) for matrix in matrices))
@@ -81,13 +88,13 @@ class Trajectory:
     def between(self, start: float, end: float) -> Trajectory:
         """The part with start <= stamp <= end, seconds."""
         inside = np.flatnonzero((self.stamps >= start) & (self.stamps <= end))
-        return Trajectory(self.stamps[inside], tuple(self.poses[i] for i in inside))
+        return replace(self, stamps=self.stamps[inside], poses=tuple(self.poses[i] for i in inside))
 
     def from_origin(self) -> Trajectory:
         """The same motion, expressed in the first camera frame."""
         if not self.poses:
             return self
-        return Trajectory(self.stamps, tuple(self.poses[0].between(pose) for pose in self.poses))
+        return replace(self, poses=tuple(self.poses[0].between(pose) for pose in self.poses))
 
     def interpolate(self, stamps: NDArray[np.float64], max_gap: float = 0.5) -> Trajectory:
         """Poses at other times, on the geodesic between neighbours.
@@ -118,34 +125,53 @@ class Trajectory:
         path.write_text("".join(kitti_line(pose) for pose in self.poses))
 
     @classmethod
-    def read_tum(cls, path: Path, unfinished: bool = False) -> Trajectory:
-        """Read a TUM file; raises TrajectoryError naming the file and what is wrong with it.
+    def read(cls, path: Path, unfinished: bool = False, layout: Layout | None = None) -> Trajectory:
+        """Read a file of TUM's, KITTI's or the ASL layout, as `read_rows` recognises it.
 
-        With `unfinished`, a last line without its line end is left out: its writer was stopped in the middle.
+        Args:
+            path: Of the file.
+            unfinished: Leave out a last line without its line end: its writer was stopped in the middle.
+            layout: Where it is known.
+
+        Raises:
+            TrajectoryError: Names the file, and what is wrong with it.
         """
-        rows = _read_table(path, 8, unfinished)
-        quaternions = rows[:, 4:]
-        norms = np.linalg.norm(quaternions, axis=1)
-        if np.any(np.abs(norms - 1) > 0.01):
-            row = int(np.argmax(np.abs(norms - 1)))
-            raise TrajectoryError(f"{path}: pose {row + 1} has a quaternion of length {norms[row]:.3g} instead of 1")
-        poses = tuple(
-            gtsam.Pose3(gtsam.Rot3.Quaternion(qw, qx, qy, qz), np.array([x, y, z]))
-            for x, y, z, qx, qy, qz, qw in np.column_stack([rows[:, 1:4], quaternions / norms[:, None]])
-        )
-        return _named(path, lambda: cls(rows[:, 0], poses))
+        rows = read_rows(path, unfinished, layout)
+        try:
+            if rows.stamps is None:
+                matrices = np.hstack([rows.poses, np.tile([0.0, 0.0, 0.0, 1.0], (len(rows.poses), 1))])
+                numbered = cls.from_matrices(rows.numbers.astype(float), matrices.reshape(-1, 4, 4))
+                return replace(numbered, rows=rows.count, notes=rows.notes)
+            quaternions = np.clip(rows.poses[:, 3:], -2, 2)
+            norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
+            _require(np.abs(norms - 1) < 0.01, "has a quaternion whose length is not 1")
+            poses = tuple(
+                gtsam.Pose3(gtsam.Rot3.Quaternion(qw, qx, qy, qz), np.array(position))
+                for position, (qx, qy, qz, qw) in zip(rows.poses[:, :3], quaternions / norms, strict=True)
+            )
+            return cls(rows.stamps, poses, notes=rows.notes)
+        except TrajectoryError as error:
+            raise TrajectoryError(f"{path}: {error}") from None
+
+    @classmethod
+    def read_tum(cls, path: Path, unfinished: bool = False) -> Trajectory:
+        """Read a file with stamps (TUM, ASL); arguments and errors are those of `read`."""
+        trajectory = cls.read(path, unfinished)
+        if trajectory.rows is not None:
+            raise TrajectoryError(f"{path} has no stamps: a pose has 12 numbers, as in KITTI's files, not 8")
+        return trajectory
 
     @classmethod
     def read_kitti(cls, path: Path, stamps: NDArray[np.float64] | None = None) -> Trajectory:
-        """Read a KITTI pose file; without `stamps`, (N,) seconds, rows are numbered 0, 1, 2, ..."""
-        rows = _read_table(path, 12)
+        """Read a KITTI file; without `stamps`, (N,) seconds of its rows, these are numbered 0, 1, 2, ..."""
+        trajectory = cls.read(path)
+        if trajectory.rows is None:
+            raise TrajectoryError(f"{path} is no KITTI file: a pose has stamp and quaternion, not 12 numbers")
         if stamps is None:
-            stamps = np.arange(len(rows), dtype=float)
-        elif len(stamps) != len(rows):
-            raise TrajectoryError(f"{path} has {len(rows)} poses, but the sequence has {len(stamps)} frames")
-        bottom = np.tile([0.0, 0.0, 0.0, 1.0], (len(rows), 1))
-        matrices = np.hstack([rows, bottom]).reshape(-1, 4, 4)
-        return _named(path, lambda: cls.from_matrices(stamps, matrices))
+            return trajectory
+        if len(stamps) != trajectory.rows:
+            raise TrajectoryError(f"{path} has {trajectory.rows} poses, but the sequence has {len(stamps)} frames")
+        return replace(trajectory, stamps=stamps[trajectory.stamps.astype(int)], rows=None)
 
     def to_evo(self) -> PoseTrajectory3D:
         """As evo's own type."""
@@ -178,35 +204,7 @@ def kitti_line(pose: gtsam.Pose3) -> str:
     return " ".join(f"{number:.17g}" for number in pose.matrix()[:3].ravel()) + "\n"
 
 
-def _read_table(path: Path, columns: int, unfinished: bool = False) -> NDArray[np.float64]:
-    try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise TrajectoryError(f"{path} cannot be read as a trajectory: {error}") from None
-    if unfinished:
-        text = text[: text.rfind("\n") + 1]
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        raise TrajectoryError(f"{path} holds no poses")
-    rows = []
-    for number, line in enumerate(lines, 1):
-        try:
-            row = [float(word) for word in line.replace(",", " ").split()]
-        except ValueError:
-            raise TrajectoryError(f"{path}: pose {number} is not a row of numbers: '{line[:60]}'") from None
-        if len(row) != columns:
-            raise TrajectoryError(f"{path}: pose {number} has {len(row)} numbers instead of {columns}")
-        rows.append(row)
-    return np.array(rows)
-
-
-def _require(good: Any, complaint: str) -> None:
+def _require(good: Any, complaint: str, advice: str = "") -> None:
     if not np.all(good):
-        raise TrajectoryError(f"the trajectory {complaint}, at pose {int(np.argmin(good)) + 1} of {len(good)}")
-
-
-def _named(path: Path, make: Callable[[], Trajectory]) -> Trajectory:
-    try:
-        return make()
-    except TrajectoryError as error:
-        raise TrajectoryError(f"{path}: {error}") from None
+        where = f"at pose {int(np.argmin(good)) + 1} of {len(good)}"
+        raise TrajectoryError(f"the trajectory {complaint}, {where}" + (f"; {advice}" if advice else ""))

@@ -1,11 +1,13 @@
 """The package from Python."""
 
+import gtsam
 import numpy as np
 import pytest
 
 import fvslam_graph
 from fvslam_graph.errors import ConfigError, FvslamError
 from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.trajectory import Trajectory
 
 SHORT = "synthetic:uav?frames=12&size=320x240"
 
@@ -44,6 +46,8 @@ def test_what_cannot_be_run_or_evaluated():
     run = fvslam_graph.run(SHORT)
     with pytest.raises(FvslamError, match="needs a reference"):
         fvslam_graph.evaluate(run.online)
+    with pytest.raises(FvslamError, match="the alignment is one of none, origin, se3, sim3, not 'se4'"):
+        fvslam_graph.evaluate(run, align="se4")
     with pytest.raises(AttributeError, match="has no attribute 'fly'"):
         fvslam_graph.fly  # noqa: B018
 
@@ -53,6 +57,67 @@ def test_compare(tmp_path):
     assert outcome.table["variant"].tolist() == ["features.count=200", "features.count=300"]
     assert outcome.table["seed"].tolist() == [3, 3] and outcome.table["ape"].nunique() == 2
     assert (tmp_path / "report.html").is_file()
+
+
+def test_files_are_paired_as_on_the_command_line(tmp_path, fvslam):
+    """A KITTI file has no stamps: row by row it belongs to the other one, which has ten poses a second."""
+    truth = flight(0.1 * np.arange(60))
+    truth.write_tum(tmp_path / "truth.tum")
+    truth.from_origin().write_kitti(tmp_path / "poses.kitti")
+    for estimated in (
+        tmp_path / "poses.kitti",
+        str(tmp_path / "poses.kitti"),
+        Trajectory.read(tmp_path / "poses.kitti"),
+    ):
+        evaluation = fvslam_graph.evaluate(estimated, str(tmp_path / "truth.tum"), "none")
+        assert (len(evaluation.association.indices), evaluation.poses) == (60, 60)
+        assert evaluation.scale == pytest.approx(1)
+    out = fvslam("evaluate", tmp_path / "poses.kitti", "--reference", tmp_path / "truth.tum", "--align", "none").out
+    assert "60 of 60 poses" in out and f"RMSE {evaluation.errors['ape_trans'].stats['rmse']:.4g} m" in out
+
+
+def test_the_clock_of_the_estimate_may_be_another(tmp_path, fvslam):
+    flight(0.1 * np.arange(60)).write_tum(tmp_path / "estimate.tum")
+    flight(0.1 * np.arange(60), late=1000.0).write_tum(tmp_path / "truth.tum")
+    with pytest.raises(FvslamError, match=r"--time-offset SECONDS.*1000\.000 if both begin together"):
+        fvslam_graph.evaluate(tmp_path / "estimate.tum", tmp_path / "truth.tum")
+    evaluation = fvslam_graph.evaluate(tmp_path / "estimate.tum", tmp_path / "truth.tum", "none", time_offset=1000)
+    assert evaluation.errors["ape_trans"].stats["max"] < 1e-9
+    assert "1000 s are added to the stamps of the estimate" in evaluation.notes
+    files = tmp_path / "estimate.tum", "--reference", tmp_path / "truth.tum"
+    assert "60 of 60 poses" in fvslam("evaluate", *files, "--time-offset", 1000).out
+    assert "must be a number of seconds, not nan" in fvslam("evaluate", *files, "--time-offset", "nan").err
+
+
+def test_what_was_read_otherwise_than_written_is_noted(tmp_path, fvslam):
+    path, lost = tmp_path / "truth.tum", tmp_path / "lost.tum"
+    flight(0.1 * np.arange(60)).write_tum(path)
+    lines = path.read_text().splitlines()
+    lost.write_text("\n".join([*lines[:20], *("nan " * 8 for _ in range(20)), *lines[40:]]))
+    note = "lost.tum: 20 of 60 poses have a number that is not finite and are left out"
+    assert note in fvslam_graph.evaluate(path, lost).notes
+    out = " ".join(fvslam("evaluate", path, "--reference", lost).out.split())
+    assert "40 of 60 poses" in out and note in out
+
+    flight(np.arange(6) + 0.004).write_tum(lost)
+    assert "the stamps of estimate and reference are up to 4 ms apart" in fvslam_graph.evaluate(path, lost).notes
+    flight(np.arange(0, 60, 0.9)).write_tum(lost)
+    assert any(note.startswith("only 7 of 60 poses") for note in fvslam_graph.evaluate(path, lost).notes)
+
+
+def test_positions_that_are_none(tmp_path, fvslam):
+    path, far = tmp_path / "truth.tum", tmp_path / "far.tum"
+    flight(np.arange(5.0)).write_tum(path)
+    far.write_text("".join(f"{stamp} 0 {1e300 * stamp} 0 0 0 0 1\n" for stamp in range(5)))
+    code, out, err = fvslam("evaluate", path, "--reference", far)
+    assert (code, out) == (1, "") and "the reference has a position 4e+300 m away" in err and err.count("\n") == 1
+
+
+def flight(stamps, late=0.0):
+    """Some ten metres a second to the left, the camera turned by a right angle."""
+    rotation, known = gtsam.Rot3.Rz(np.pi / 2), np.asarray(stamps)
+    positions = np.column_stack([-10 * known, np.sin(known), known**2])
+    return Trajectory(known + late, tuple(gtsam.Pose3(rotation, position) for position in positions))
 
 
 def test_folders_may_be_strings(tmp_path):

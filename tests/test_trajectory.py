@@ -1,5 +1,7 @@
 """Stamped poses and the files that hold them."""
 
+import os
+
 import gtsam
 import numpy as np
 import pytest
@@ -91,15 +93,20 @@ def test_a_line_that_its_writer_did_not_finish(tmp_path):
     ("text", "complaint"),
     [
         ("", "holds no poses"),
+        ("stamp x y z\nfrom here on\n,,\n", "holds no poses"),
         ("# nothing but a comment\n\n", "holds no poses"),
         ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0\n", "pose 2 has 7 numbers instead of 8"),
         ("0 1 2 3 0 0 0 1\n1 1 2 three 0 0 0 1\n", "pose 2 is not a row of numbers: '1 1 2 three 0 0 0 1'"),
-        ("0 1 2 3 0 0 0 1\n1 1 nan 3 0 0 0 1\n", "pose with a number that is not finite, at pose 2 of 2"),
-        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 nan\n", "pose with a number that is not finite, at pose 2 of 2"),
-        ("0 1 2 3 0 0 0 1\nnan 1 2 3 0 0 0 1\n", "stamp that is not a finite number, at pose 2 of 2"),
         ("0 1 2 3 0 0 0 1\n2 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n", "not later than the one before, at pose 3 of 3"),
         ("0 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n", "not later than the one before, at pose 2 of 2"),
-        ("0 1 2 3 0 0 0 0.9\n", "pose 1 has a quaternion of length 0.9 instead of 1"),
+        ("0 1 2 3 0 0 0 0.9\n", "a quaternion whose length is not 1, at pose 1 of 1"),
+        ("0 1 2 3 0 0 0 1e300\n", "a quaternion whose length is not 1"),
+        ("0 1 2 nan 0 0 0 1\n1 inf 2 3 0 0 0 1\n", "each of the 2 poses has a number that is not finite"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n1e300 1 2 3 0 0 0 1\n", "the stamp 1e+300, which is no time in seconds"),
+        ("0 1 2 3 0 0 0 1\x00\n", "holds NUL bytes"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "has no stamps: a pose has 12 numbers"),
+        ("# t qw qx qy qz x y z\n0 1 0 0 0 1 2 3\n", "puts the quaternion in columns 2 to 5"),
+        ("0 1 2 3 0 0 0 1 9\n", "neither a TUM file (8 numbers a line) nor a KITTI file (12): it has 9"),
     ],
 )
 def test_damaged_tum_files(tmp_path, text, complaint):
@@ -115,7 +122,7 @@ def test_damaged_tum_files(tmp_path, text, complaint):
     ("row", "complaint"),
     [
         ("1 0 0 0 0 1 0 0 0 0 1", "pose 2 has 11 numbers instead of 12"),
-        ("1 0 0 0 0 1 0 inf 0 0 1 0", "number that is not finite, at pose 2 of 2"),
+        ("1e300 0 0 0 0 1 0 0 0 0 1 0", "without a proper rotation matrix, at pose 2 of 2"),
         ("0 0 0 0 0 0 0 0 0 0 0 0", "without a proper rotation matrix, at pose 2 of 2"),
         ("1 0 0 0 0 1 0 0 0 0 -1 0", "without a proper rotation matrix, at pose 2 of 2"),
         ("1.1 0 0 0 0 1.1 0 0 0 0 1.1 0", "without a proper rotation matrix, at pose 2 of 2"),
@@ -137,9 +144,84 @@ def test_kitti_files_of_another_length_than_the_sequence(tmp_path):
 
 def test_files_that_are_none(tmp_path):
     (tmp_path / "image.tum").write_bytes(b"\x89PNG\xff\xfe\x00")
-    for path in (tmp_path / "absent.tum", tmp_path, tmp_path / "image.tum"):
-        with pytest.raises(TrajectoryError, match="cannot be read as a trajectory"):
-            Trajectory.read_tum(path)
+    (tmp_path / "utf16.tum").write_text("0 1 2 3 0 0 0 1\n", encoding="utf-16")
+    (tmp_path / "circle.tum").symlink_to("circle.tum")
+    os.mkfifo(tmp_path / "pipe.tum")
+    with (tmp_path / "huge.tum").open("wb") as file:
+        file.truncate(3 * 10**9)  # takes no space
+    for name, complaint in {
+        "absent.tum": "is missing",
+        ".": "is a folder",
+        "pipe.tum": "is no regular file",
+        "/dev/zero": "is no regular file",
+        "circle.tum": "is missing|Symlink loop|symbolic links",
+        "image.tum": "cannot be read as text",
+        "utf16.tum": "cannot be read as text",
+        "huge.tum": "has 3000 MB",
+        300 * "x": "cannot be read as text: .*name too long",
+        "\0": "is missing",
+    }.items():
+        with pytest.raises(TrajectoryError, match=complaint):
+            Trajectory.read(tmp_path / name)
+
+
+# A quarter turn about z at (1, 2, 3), then none; as TUM has it, x y z w.
+QUARTER, NONE = f"0 0 {0.5**0.5} {0.5**0.5}", "0 0 0 1"
+QUARTER_ASL, NONE_ASL = f"{0.5**0.5},0,0,{0.5**0.5}", "1,0,0,0"
+EUROC = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"\ufeff0.5 1 2 3 {QUARTER}\n0.75 4 5 6 {NONE}\n",
+        f"\ufeff# timestamp tx ty tz qx qy qz qw\r\n0.5 1 2 3 {QUARTER}\r\n0.75 4 5 6 {NONE}\r\n",
+        f"stamp,x,y,z,qx,qy,qz,qw\n0.5,1,2,3,{QUARTER.replace(' ', ',')}\n\n0.75,4,5,6,0,0,0,1\n",
+        f"# a note\n0.5\t1 2 3 {QUARTER} # another\n  # a third\n0.75 4 5 6 {NONE}",
+        f"# time tx ty tz qx qy qz qw sigma\n0.5 1 2 3 {QUARTER} 9\n0.75 4 5 6 {NONE} nan\n",
+        f"{EUROC}\n500000000,1,2,3,{QUARTER_ASL}\n750000000,4,5,6,{NONE_ASL}\n",
+        f"{EUROC},v,v,v,b,b,b,a,a,a\n500000000,1,2,3,{QUARTER_ASL}{9 * ',0'}\n750000000,4,5,6,{NONE_ASL}{9 * ',0'}\n",
+        f"t,x,y,z,qw,qx,qy,qz\n0.5,1,2,3,{QUARTER_ASL}\n0.75,4,5,6,{NONE_ASL}\n",
+    ],
+    ids=["BOM", "CRLF", "commas", "comments", "more", "TUM-VI", "EuRoC", "seconds"],
+)
+def test_layouts(tmp_path, text):
+    path = tmp_path / "poses"
+    path.write_text(text, newline="")
+    read = Trajectory.read(path)
+    assert read.notes == () and read.stamps.tolist() == [0.5, 0.75]
+    assert read.matrices[0] == pytest.approx(np.array([[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]))
+    assert read.matrices[1] == pytest.approx(gtsam.Pose3(gtsam.Rot3(), np.array([4.0, 5.0, 6.0])).matrix())
+
+
+def test_nanoseconds_without_a_header(tmp_path):
+    """ORB-SLAM3 writes blanks and w last, VINS commas and w first."""
+    path = tmp_path / "poses"
+    first, second = 1_403_636_580_500_000_000, 1_403_636_580_750_000_000
+    path.write_text(f"{first}.000000 1 2 3 {QUARTER}\n{second}.000000 4 5 6 {NONE}\n")
+    orb = Trajectory.read(path)
+    path.write_text(f"{first},1,2,3,{QUARTER_ASL},7,7,7,\n{second},4,5,6,{NONE_ASL},7,7,7,\n")
+    vins = Trajectory.read(path)
+    assert np.array_equal(orb.stamps, vins.stamps)
+    assert orb.stamps == pytest.approx([1_403_636_580.5, 1_403_636_580.75], rel=0, abs=1e-6)
+    assert np.allclose(orb.matrices, vins.matrices, atol=1e-15) and orb.positions[1].tolist() == [4, 5, 6]
+    assert orb.notes == ("poses: the stamps are read as nanoseconds",)
+    assert len(vins.notes) == 1 and "read as w x y z" in vins.notes[0]
+
+
+def test_poses_of_a_lost_target_are_left_out(tmp_path):
+    path = tmp_path / "poses"
+    path.write_text(f"0 1 2 3 {NONE}\n1 nan nan nan {NONE}\nnan 1 2 3 {NONE}\n3 1 1e400 3 {NONE}\n4 1 2 4 {NONE}\n")
+    read = Trajectory.read(path)
+    assert read.stamps.tolist() == [0, 4] and read.positions[1].tolist() == [1, 2, 4]
+    assert read.notes == ("poses: 3 of 5 poses have a number that is not finite and are left out",)
+    assert read.between(0, 3).notes == read.from_origin().notes == read.notes
+
+    path.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 nan 0 1 0 0 0 0 1 0\n1 0 0 7 0 1 0 0 0 0 1 0\n")
+    read = Trajectory.read(path)
+    assert (read.rows, read.stamps.tolist(), read.positions[:, 0].tolist()) == (3, [0, 2], [0, 7])
+    known = Trajectory.read_kitti(path, np.array([5.0, 6.0, 8.0]))
+    assert known.rows is None and known.stamps.tolist() == [5, 8] and known.notes == read.notes
 
 
 def test_stamps_and_poses_must_fit():

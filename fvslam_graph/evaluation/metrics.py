@@ -8,14 +8,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from fvslam_graph.errors import TrajectoryError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.association import Association, associate
+from fvslam_graph.evaluation.association import SAME_INSTANT, Association, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
 from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
 from fvslam_graph.files import replacing, write_file, write_json, writing
 from fvslam_graph.results import Relatives
 from fvslam_graph.run_folder import METRICS, REFERENCE
 from fvslam_graph.trajectory import Trajectory
+
+FARTHEST = 1e9  # m, beyond the moon; squares of errors stay exact enough
+FEW = 0.5  # of the poses that could have a reference; fewer are worth a note
 
 if TYPE_CHECKING:
     from evo.core.result import Result
@@ -112,6 +118,7 @@ def evaluate(
     name: str = "estimate",
     frames: int | None = None,
     relatives: Relatives | None = None,
+    time_offset: float = 0.0,
 ) -> Evaluation:
     """Compare an estimate with a reference.
 
@@ -126,12 +133,22 @@ def evaluate(
         name: Of the estimate, in evo's results.
         frames: How many images there were.
         relatives: Motions between the poses of the estimate; NEES is over those that have a covariance.
+        time_offset: Seconds, added to the stamps of the estimate to get those of the reference.
 
     Raises:
-        TrajectoryError: Fewer than two poses have a reference.
+        TrajectoryError: Fewer than two poses have a reference, or positions are too far away for numbers.
     """
-    association = associate(estimate, reference)
-    notes = []
+    association = associate(estimate, reference, time_offset)
+    _require_near("estimate", association.estimate)
+    _require_near("reference", association.reference)
+    notes = [*estimate.notes, *reference.notes]
+    if time_offset:
+        notes.append(f"{time_offset:g} s are added to the stamps of the estimate")
+    apart = float(np.abs(association.estimate.stamps - association.reference.stamps).max())
+    if apart > SAME_INSTANT:
+        notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
+    if (matched := len(association.indices)) < FEW * min(len(estimate), len(reference)):
+        notes.append(f"only {matched} of {len(estimate)} poses have a reference: do both have the same clock and rate?")
     scale = _scale(association)
     determined = not math.isnan(scale)
     if not determined and align in (Alignment.SE3, Alignment.SIM3):
@@ -168,6 +185,12 @@ def evaluate(
         consistency=consistent,
         notes=tuple(notes),
     )
+
+
+def _require_near(name: str, trajectory: Trajectory) -> None:
+    farthest = float(np.abs(trajectory.positions).max())
+    if farthest > FARTHEST:
+        raise TrajectoryError(f"the {name} has a position {farthest:.3g} m away; more than {FARTHEST:g} m is no place")
 
 
 def _scale(association: Association) -> float:

@@ -57,7 +57,8 @@ def summary_table(evaluation: Evaluation) -> RichTable:
     if evaluation.coverage is not None:
         table.add_row("coverage", f"{100 * evaluation.coverage:.1f} % of {evaluation.frames} frames")
     table.add_row("association", f"{len(association.indices)} of {evaluation.poses} poses {how}")
-    table.add_row("alignment", f"{evaluation.alignment} (scale to the reference {evaluation.scale:.4f})")
+    scale = "unknown" if np.isnan(evaluation.scale) else f"{evaluation.scale:.4f}"
+    table.add_row("alignment", f"{evaluation.alignment} (scale to the reference {scale})")
     if evaluation.alignment != "sim3" and not np.isnan(evaluation.ape_scaled):
         table.add_row("Sim(3)", f"ape_trans RMSE {evaluation.ape_scaled:.4g} m, in the scale of the reference")
     for name, result in evaluation.errors.items():

@@ -6,18 +6,20 @@ Schubert et al., "The TUM VI benchmark for evaluating visual-inertial odometry",
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import CameraError, SequenceError, TrajectoryError
+from fvslam_graph.errors import CameraError, SequenceError
 from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.calibration import read_calibration
 from fvslam_graph.sequences.images import ImageFiles
-from fvslam_graph.sequences.tables import make_trajectory, read_listing, read_table, require_increasing, to_numbers
+from fvslam_graph.sequences.tables import read_listing, require_increasing
 from fvslam_graph.trajectory import Trajectory
+from fvslam_graph.trajectory_files import Layout
 
 FORMAT = "euroc"
 LAYOUT = "mav0/cam0/ with data.csv and sensor.yaml, or dso/camchain.yaml beside mav0/"
@@ -68,21 +70,9 @@ def _mav_folder(path: Path) -> Path:
 
 
 def _ground_truth(path: Path, body_T_camera: gtsam.Pose3) -> Trajectory:
-    """world_T_camera from rows of time stamp, position, quaternion (w first) and more that is not used."""
-    rows = read_table(path, ",")
-    if not rows or any(len(row) < 8 for row in rows):
-        raise TrajectoryError(f"{path} should have rows of time stamp, position and quaternion")
-    values = to_numbers(path, [row[1:8] for row in rows])
-    norms = np.linalg.norm(values[:, 3:], axis=1)
-    if np.any(np.abs(norms - 1) > 0.01):
-        raise TrajectoryError(
-            f"{path}: the quaternion of row {int(np.argmax(np.abs(norms - 1))) + 1} is not of length 1"
-        )
-    poses = [
-        gtsam.Pose3(gtsam.Rot3.Quaternion(*quaternion), position) * body_T_camera
-        for position, quaternion in zip(values[:, :3], values[:, 3:] / norms[:, None], strict=True)
-    ]
-    return make_trajectory(path, _seconds(path, [row[0] for row in rows]), poses)
+    """world_T_camera from poses of the body."""
+    truth = Trajectory.read(path, layout=Layout.ASL)
+    return replace(truth, poses=tuple(pose * body_T_camera for pose in truth.poses))
 
 
 def _seconds(path: Path, stamps: list[str]) -> NDArray[np.float64]:

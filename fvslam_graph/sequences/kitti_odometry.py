@@ -5,6 +5,7 @@ Geiger, Lenz, Urtasun, "Are we ready for autonomous driving?", CVPR 2012.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -16,7 +17,7 @@ from fvslam_graph.sequences.calibration import projection_camera
 from fvslam_graph.sequences.files import numbered_images, only_one
 from fvslam_graph.sequences.ground import kitti_ground
 from fvslam_graph.sequences.images import ImageFiles
-from fvslam_graph.sequences.tables import CalibrationText, even_stamps, make_trajectory, read_stamps, require_rows
+from fvslam_graph.sequences.tables import CalibrationText, even_stamps, read_stamps, require_rows
 from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "kitti-odometry"
@@ -78,10 +79,10 @@ def _stamps(path: Path, last: int) -> tuple[NDArray[np.float64], tuple[str, ...]
 def _ground_truth(path: Path, stamps: NDArray[np.float64]) -> tuple[Trajectory | None, tuple[str, ...]]:
     if not path.is_file():
         return None, ()
-    poses = Trajectory.read_kitti(path).poses
-    common = min(len(poses), len(stamps))
-    notes = (f"{path.name} has {len(poses)} poses for {len(stamps)} stamps",) if len(poses) != len(stamps) else ()
-    return make_trajectory(path, stamps[:common], poses[:common]), notes
+    truth = Trajectory.read_kitti(path)
+    notes = (f"{path.name} has {truth.rows} poses for {len(stamps)} stamps",) if truth.rows != len(stamps) else ()
+    truth = truth.between(0, len(stamps) - 1)
+    return replace(truth, stamps=stamps[truth.stamps.astype(int)], rows=None), notes
 
 
 def _of_camera(truth: Trajectory, P: NDArray[np.float64]) -> Trajectory:
@@ -89,4 +90,4 @@ def _of_camera(truth: Trajectory, P: NDArray[np.float64]) -> Trajectory:
     # P = K [I | t]: t takes points of camera 0 to this one.
     camera_T_0 = gtsam.Pose3(gtsam.Rot3(), np.linalg.solve(P[:, :3], P[:, 3]))
     poses = [camera_T_0 * pose * camera_T_0.inverse() for pose in truth.poses]
-    return Trajectory(truth.stamps, tuple(poses))
+    return replace(truth, poses=tuple(poses))

@@ -81,7 +81,8 @@ def _recorded(path: Path, wanted: str | None) -> Sequence:
         sequence = _find_format(path, wanted).read(path)
     except (OSError, RuntimeError) as error:  # a folder without permission, a disk that is gone, nobody's home
         raise SequenceError(f"{path} cannot be read: {error}") from None
-    return replace(sequence, notes=sequence.notes + doubts(sequence.camera))
+    left_out = sequence.ground_truth.notes if sequence.ground_truth else ()
+    return replace(sequence, notes=sequence.notes + doubts(sequence.camera) + left_out)
 
 
 def _find_format(path: Path, wanted: str | None) -> Format:

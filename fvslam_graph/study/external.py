@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.errors import FvslamError, TrajectoryError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.association import has_no_stamps, load_trajectory
+from fvslam_graph.evaluation.association import load_trajectory
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.results import Run
 from fvslam_graph.sequences.base import Sequence
@@ -34,13 +35,13 @@ def external_run(name: str, file: str, sequence: Sequence) -> Run:
     trajectory = load_trajectory(path)
     if period is not None:
         trajectory = _at_frames(np.rint(trajectory.stamps / period).astype(int), trajectory, sequence, path)
-    elif has_no_stamps(path):
-        if len(trajectory) != len(sequence):
+    elif trajectory.rows is not None:
+        if trajectory.rows != len(sequence):
             raise TrajectoryError(
                 f"{path} has no stamps, so it must have a pose for each of the {len(sequence)} frames of "
-                f"{sequence.name}, not {len(trajectory)}; use a TUM file, which has stamps"
+                f"{sequence.name}, not {trajectory.rows}; use a TUM file, which has stamps"
             )
-        trajectory = _at_frames(np.arange(len(trajectory)), trajectory, sequence, path)
+        trajectory = _at_frames(trajectory.stamps.astype(int), trajectory, sequence, path)
     else:
         trajectory = _cut(trajectory, sequence)
     return Run(
@@ -80,7 +81,7 @@ def _cut(trajectory: Trajectory, sequence: Sequence) -> Trajectory:
     kept = np.unique(nearest[away.min(axis=0) <= period / 2])
     if not len(kept):  # the evaluation says how they differ
         return trajectory
-    return Trajectory(trajectory.stamps[kept], tuple(trajectory.poses[row] for row in kept))
+    return replace(trajectory, stamps=trajectory.stamps[kept], poses=tuple(trajectory.poses[row] for row in kept))
 
 
 def _at_frames(frames: NDArray[np.int64], trajectory: Trajectory, sequence: Sequence, path: Path) -> Trajectory:
@@ -90,7 +91,7 @@ def _at_frames(frames: NDArray[np.int64], trajectory: Trajectory, sequence: Sequ
             f"{path} does not belong to the {len(sequence)} frames of {sequence.name}: its poses are for frames "
             f"{frames.min()} to {frames.max()}; use the stamps of the recording, and all its frames"
         )
-    return Trajectory(sequence.stamps[frames], trajectory.poses)
+    return replace(trajectory, stamps=sequence.stamps[frames], rows=None)
 
 
 def _split(file: str) -> tuple[Path, float | None]:

@@ -12,7 +12,7 @@ from evo.tools.file_interface import load_res_file
 from fvslam_graph.errors import ResultsError, TrajectoryError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import evaluate
-from fvslam_graph.evaluation.runs import evaluate_files, evaluate_run, evaluation_of
+from fvslam_graph.evaluation.runs import evaluate_run, evaluation_of
 from fvslam_graph.run_folder import read_run
 from fvslam_graph.trajectory import Status, Trajectory
 
@@ -157,7 +157,7 @@ def test_files_of_other_programs_are_evaluated(tmp_path: Path) -> None:
     truth = drive(150)
     truth.write_tum(tmp_path / "truth.tum")
     truth.from_origin().write_kitti(tmp_path / "other.kitti")
-    evaluation = evaluate_files(tmp_path / "other.kitti", tmp_path / "truth.tum")
+    evaluation = evaluation_of(tmp_path / "other.kitti", tmp_path / "truth.tum")
     assert (evaluation.name, evaluation.coverage) == ("other", None)
     assert evaluation.errors["ape_trans"].stats["max"] < 1e-6
     assert evaluation.drift.t_rel == pytest.approx(0, abs=1e-9)
@@ -179,7 +179,7 @@ def test_what_cannot_be_evaluated_is_one_sentence(tmp_path: Path, make_run: Make
 def test_kitti_ground_truth_of_the_benchmark(real_data) -> None:
     """A trajectory of 350 poses in KITTI's format is its own perfect estimate, also with noise in its last digits."""
     poses = real_data("kitti_odometry") / "poses" / "03.txt"
-    evaluation = evaluate_files(poses, poses)
+    evaluation = evaluation_of(poses, poses)
     assert evaluation.errors["ape_trans"].stats["max"] < 1e-6
     assert evaluation.drift.segments == 30
     assert evaluation.drift.t_rel < 1e-6
