@@ -9,9 +9,10 @@ from fvslam_graph.study.declaration import Study
 # Processes import this file, so that what it does has to stand below this line.
 if __name__ == "__main__":
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/grid_study")
+    frames = int(sys.argv[2]) if len(sys.argv) > 2 else 30
     study = Study(
         name="Weight of V-SLAM",
-        sequences=["synthetic:uav?frames=30", "synthetic:drive?frames=30&size=621x188"],
+        sequences=[f"synthetic:uav?frames={frames}", f"synthetic:drive?frames={frames}&size=621x188"],
         modes=["average"],
         settings={"fusion.weight": [0.0, 0.5, 1.0]},
         seeds=2,

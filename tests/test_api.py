@@ -48,7 +48,7 @@ def test_what_cannot_be_run_or_evaluated():
         fvslam_graph.fly  # noqa: B018
 
 
-def test_compare(tmp_path):
+def test_compare(tmp_path, undrawn):
     outcome = fvslam_graph.compare(SHORT, ["vo"], [3], settings={"features.count": [200, 300]}, out=tmp_path)
     assert outcome.table["variant"].tolist() == ["features.count=200", "features.count=300"]
     assert outcome.table["seed"].tolist() == [3, 3] and outcome.table["ape"].nunique() == 2
