@@ -8,7 +8,7 @@ import pytest
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 SMALL = "synthetic:uav?frames=12&size=320x240"
-ARGUMENTS = {"compare_modes": [SMALL], "grid_study": ["runs", 8], "run_and_evaluate": [SMALL]}
+ARGUMENTS = {"compare_modes": [SMALL], "grid_study": ["runs", 8, 1], "run_and_evaluate": [SMALL]}
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)

@@ -32,11 +32,8 @@ def serial(jobs, tmp_path_factory):
     return dict(execute_all(jobs, tmp_path_factory.mktemp("serial"), SIM3, workers=1))
 
 
-def test_on_a_cluster_that_exists_the_table_is_the_same(jobs, serial, tmp_path):
-    from distributed import LocalCluster
-
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
-        parallel = dict(execute_all(jobs, tmp_path, SIM3, scheduler=cluster.scheduler_address))
+def test_in_parallel_the_table_is_the_same(jobs, serial, tmp_path):
+    parallel = dict(execute_all(jobs, tmp_path, SIM3, workers=2))
     assert table(parallel) == table(serial)
     assert len(serial) == len(jobs) and all(row["status"] == "finished" for row in serial.values())
     assert len({row["ape"] for row in serial.values()}) == len(jobs)  # they do differ among each other
@@ -92,6 +89,14 @@ def test_a_run_that_fails_is_a_row_with_its_reason(job, tmp_path, monkeypatch):
     assert rows[2]["status"] == "finished"
     outcome = Outcome.of([rows[number] for number in range(3)], SIM3)
     assert len(outcome.finished) == 1 and len(outcome.failures().rows) == 2
+
+
+def test_a_cluster_that_exists(jobs, serial, tmp_path):
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster:
+        rows = dict(execute_all(jobs[:2], tmp_path, SIM3, scheduler=cluster.scheduler_address))
+    assert table(rows) == table({number: serial[number] for number in rows})
 
 
 def test_a_cluster_that_does_not(jobs, tmp_path, monkeypatch):
