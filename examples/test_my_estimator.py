@@ -23,7 +23,7 @@ def optical_mouse(sequence):
 
 
 def test_it_is_right_within_a_tenth_of_the_path():
-    flight = rendered("uav", frames=40, seed=2)
+    flight = rendered("uav", frames=20, size="320x240", seed=2)
     truth = flight.ground_truth
     evaluation = assert_ape_below(optical_mouse(flight), 0.1 * truth.path_length, truth)
     print(f"APE {evaluation.errors['ape_trans'].stats['rmse']:.2f} m on {truth.path_length:.0f} m")

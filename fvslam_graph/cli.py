@@ -140,11 +140,9 @@ def plot(
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.run_folder import read_run
 
-    for file in plot_runs([read_run(run) for run in runs], out or runs[0], Alignment.named(align)):
+    shown = plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]) if landmarks is not None else []
+    for file in [*plot_runs([read_run(run) for run in runs], out or runs[0], Alignment.named(align)), *shown]:
         typer.echo(file)
-    if landmarks is not None:
-        for file in plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]):
-            typer.echo(file)
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """What several tests share."""
 
+import functools
 import os
 import sys
 from collections.abc import Callable
@@ -8,13 +9,33 @@ from typing import NamedTuple
 
 import cv2
 import pytest
+from threadpoolctl import threadpool_limits
 
 from fvslam_graph.cli import main
+from fvslam_graph.sequences import synthetic
 from fvslam_graph.sequences.synthetic import synthetic_sequence
 
 pytest_plugins = ["fvslam_graph.testing"]
 
 ROOT = Path(__file__).parents[1]
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # there are as many of these as cores
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+
+
+build = synthetic._build
+
+
+@functools.lru_cache(6)
+def built_once(options: object) -> object:
+    """A synthetic world that keeps what it renders: many tests look at the same few frames."""
+    world = build(options)
+    world.render = functools.lru_cache(48)(world.render)
+    return world
+
+
+synthetic._build = functools.update_wrapper(built_once, build)
 
 
 @pytest.fixture(scope="session")
@@ -48,6 +69,15 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     sequence.ground_truth.write_tum(folder / "groundtruth.tum")
     return folder
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures become files with nothing to see: for tests of what is around them, since drawing takes seconds."""
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "draw_without_rendering", lambda figure: None)
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).write_bytes(b"not drawn"))
 
 
 class Outcome(NamedTuple):

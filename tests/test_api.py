@@ -6,13 +6,14 @@ import pytest
 
 import fvslam_graph
 from fvslam_graph.errors import ConfigError, FvslamError
+from fvslam_graph.evaluation.plots import FIGURES, plot_runs
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.trajectory import Trajectory
 
 SHORT = "synthetic:uav?frames=12&size=320x240"
 
 
-def test_a_run_in_memory_is_the_run_in_a_folder(tmp_path):
+def test_a_run_in_memory_is_the_run_in_a_folder(tmp_path, undrawn):
     options = {"mode": "graph", "settings": {"slam.min_landmarks": 30, "scale.source": "oracle"}, "seed": 2}
     memory = fvslam_graph.run(SHORT, **options)
     folder = fvslam_graph.run(open_sequence(SHORT), **options, out=tmp_path / "run")
@@ -26,6 +27,7 @@ def test_a_run_in_memory_is_the_run_in_a_folder(tmp_path):
     assert np.allclose(memory.frames["scale"], folder.frames["scale"], equal_nan=True)
     assert memory.config == folder.config
     assert all(folder.info[key] == value for key, value in memory.info.items() if key != "down")
+    assert len(plot_runs([memory], tmp_path / "plots")) == 2 * len(FIGURES)
 
 
 def test_everything_that_can_be_evaluated(tmp_path):
@@ -52,7 +54,7 @@ def test_what_cannot_be_run_or_evaluated():
         fvslam_graph.fly  # noqa: B018
 
 
-def test_compare(tmp_path):
+def test_compare(tmp_path, undrawn):
     outcome = fvslam_graph.compare(SHORT, ["vo"], [3], settings={"features.count": [200, 300]}, out=tmp_path)
     assert outcome.table["variant"].tolist() == ["features.count=200", "features.count=300"]
     assert outcome.table["seed"].tolist() == [3, 3] and outcome.table["ape"].nunique() == 2

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from fvslam_graph import pipeline
+from fvslam_graph.cli import app
 from fvslam_graph.files import file_name
 from fvslam_graph.run_folder import read_run
 
@@ -168,7 +169,7 @@ def test_distortion(fvslam):
     assert fvslam("distortion", "synthetic:uav?frames=12", "--camera-k1", 2).code == 1
 
 
-def test_demo(tmp_path, fvslam):
+def test_demo(tmp_path, fvslam, undrawn):
     code, out, err = fvslam("demo", "--frames", 10, "--out", tmp_path)
     assert (code, err) == (0, "")
     for name in ("vo-tuned", "vslam-tuned", "average-tuned", "intersection-tuned", "average-paper"):
@@ -246,14 +247,21 @@ def test_visual_slam_and_a_look_at_its_landmarks(fvslam, tmp_path):
         assert name in outcome.out
 
 
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    """The folder of a run with landmarks."""
+    folder = tmp_path_factory.mktemp("runs") / "mapped"
+    command = ["run", "synthetic:uav?frames=6&size=320x240", "--mode", "vslam", "--out", str(folder)]
+    app(command, standalone_mode=False)
+    return folder
+
+
 @pytest.mark.parametrize(
     ("landmarks", "complaint"),
     [("5;7", "--landmarks takes numbers of frames"), ("99", "has no frame 99"), ("0", "has no frame 0")],
 )
-def test_landmarks_that_cannot_be_shown(fvslam, tmp_path, landmarks, complaint):
-    out = tmp_path / "run"
-    fvslam("run", "synthetic:uav?frames=6&size=320x240", "--mode", "vslam", "--out", out)
-    outcome = fvslam("plot", out, "--landmarks", landmarks)
+def test_landmarks_that_cannot_be_shown(fvslam, mapped, landmarks, complaint):
+    outcome = fvslam("plot", mapped, "--landmarks", landmarks)
     assert outcome.code == 1
     assert complaint in outcome.err and "Traceback" not in outcome.err
 
@@ -272,7 +280,7 @@ def test_an_unknown_mode(fvslam, drive, tmp_path):
     assert "'mode' cannot be 'slam'" in outcome.err and "'vo'" in outcome.err
 
 
-def test_compare(fvslam, drive, tmp_path):
+def test_compare(fvslam, drive, tmp_path, undrawn):
     command = (
         "compare",
         drive,
@@ -311,7 +319,7 @@ def test_a_wrong_comparison_is_one_sentence(fvslam, drive, tmp_path, options, co
     assert not (tmp_path / "out").exists()
 
 
-def test_study(fvslam, drive, tmp_path):
+def test_study(fvslam, drive, tmp_path, undrawn):
     file = tmp_path / "short.yaml"
     file.write_text(f"sequences: [{drive}, absent]\nmodes: [vo]\nseeds: 1\n")
     outcome = fvslam("study", file, "--out", tmp_path / "out")

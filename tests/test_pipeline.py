@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import gtsam
 import numpy as np
@@ -17,6 +18,7 @@ from fvslam_graph.run_folder import GRAPH, METRICS, RunWriter, read_run
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.points import simulate_drive, simulate_flight
 from fvslam_graph.sequences.synthetic import synthetic_sequence
+from fvslam_graph.testing import rendered
 from fvslam_graph.trajectory import Status
 
 
@@ -103,17 +105,22 @@ def test_facts(sequence):
 
 @pytest.fixture(scope="module")
 def flown():
-    return open_sequence("synthetic:uav?frames=24")
+    return rendered("uav", frames=24)
 
 
-def test_visual_slam_starts_when_the_scale_is_known(flown):
-    config = load_config(settings=["mode=vslam"])
-    results = list(estimate(flown, config))
+@pytest.fixture(scope="module")
+def estimated(flown):
+    """The results on the flight by the settings; runs that several tests look at are made once."""
+    return cache(lambda *settings: list(estimate(flown, load_config(settings=settings))))
+
+
+def test_visual_slam_starts_when_the_scale_is_known(flown, estimated):
+    results = estimated("mode=vslam")
     assert [result.index for result in results] == list(range(24))
     started = next(result.index for result in results if result.slam is not None)
     assert started <= 3
     assert all(result.slam is not None for result in results[started:])
-    assert {tuple(result.times) for result in results} == {stages(config)}
+    assert {tuple(result.times) for result in results} == {stages(load_config(settings=["mode=vslam"]))}
     assert {tuple(result.measures) for result in results} == {tuple(results[0].measures)}
     assert np.isnan(results[-1].measures["tracks"]) and results[-1].measures["measured"] >= 20  # odometry has ended
     errors = [result.pose.mean.between(flown.ground_truth.poses[result.index]) for result in results]
@@ -168,8 +175,8 @@ def test_darkness_is_coasted_through(flown):
 
 
 @pytest.mark.parametrize("mode", ["average", "intersection"])
-def test_both_fused_at_every_fifth_frame(flown, mode):
-    results = list(estimate(flown, load_config(settings=[f"mode={mode}"])))
+def test_both_fused_at_every_fifth_frame(flown, estimated, mode):
+    results = estimated(f"mode={mode}")
     ran = [result.index for result in results if result.slam is not None]
     assert np.all(np.diff(ran) == 5)
     assert {result.status for result in results[1:]} == {Status.TRACKED}
@@ -185,25 +192,21 @@ def test_both_fused_at_every_fifth_frame(flown, mode):
     assert 0.005 < np.linalg.norm(error.translation()) < 0.5  # metres on 29 m; measured 0.1
 
 
-def test_the_weight_leads_from_one_to_the_other(flown):
-    def fused(weight: float) -> list:
-        return list(estimate(flown, load_config(settings=["mode=average", f"fusion.weight={weight}"])))
-
-    alone = list(estimate(flown, load_config()))
-    for a, b in zip(fused(0.0), alone, strict=True):
+def test_the_weight_leads_from_one_to_the_other(estimated):
+    first, alone = estimated("mode=average", "fusion.weight=0"), estimated()
+    for a, b in zip(first, alone, strict=True):
         assert a.pose.mean.equals(b.pose.mean, 1e-9)
-    third = fused(1.0)
+    third = estimated("mode=average", "fusion.weight=1")
     index = [result.index for result in third if result.slam is not None][1]
     assert third[index].pose.mean.equals(third[index].slam.pose.mean, 1e-9)
 
 
-def test_odometry_carries_on_alone_where_visual_slam_is_lost(flown):
+def test_odometry_carries_on_alone_where_visual_slam_is_lost(estimated):
     """Too few matches over an interval: that fusion is left out, with a status that says so."""
-    settings = ["mode=average", "slam.min_matches=1000"]
-    results = list(estimate(flown, load_config(settings=settings)))
+    results = estimated("mode=average", "slam.min_matches=1000")
     ran = [result for result in results if result.slam is not None][1:]
     assert {result.status for result in ran} <= {Status.COASTED, Status.REINITIALISED}
-    for a, b in zip(results, estimate(flown, load_config()), strict=True):
+    for a, b in zip(results, estimated(), strict=True):
         assert a.pose.mean.equals(b.pose.mean, 1e-9)
 
 
@@ -239,8 +242,8 @@ def test_visual_slam_that_starts_from_odometry_is_honest():
 
 
 @pytest.mark.parametrize("online", ["steady", "pose"])
-def test_the_graph_at_every_fifth_frame(flown, online):
-    results = list(estimate(flown, load_config(settings=["mode=graph", f"graph.online={online}"])))
+def test_the_graph_at_every_fifth_frame(flown, estimated, online):
+    results = estimated("mode=graph", *(["graph.online=pose"] if online == "pose" else []))
     ran = [result for result in results if result.slam is not None]
     assert np.all(np.diff([result.index for result in ran]) == 5)
     assert {result.status for result in results[1:]} == {Status.TRACKED}
@@ -281,12 +284,10 @@ def test_thirty_black_images(flown):
         assert np.linalg.norm(error.translation()) < 0.3  # metres in up to 7 m
 
 
-def test_what_the_graph_knows_of_the_pose_is_not_counted_twice(flown):
+def test_what_the_graph_knows_of_the_pose_is_not_counted_twice(estimated):
     """Tracks that are landmarks are left out of odometry, which then comes out otherwise."""
-    runs = [
-        list(estimate(flown, load_config(settings=["mode=graph", f"graph.counting={kind}"])))
-        for kind in ("disjoint", "double", "deflated")
-    ]
+    assert load_config().graph.counting == "deflated"
+    runs = [estimated("mode=graph", *change) for change in (["graph.counting=disjoint"], ["graph.counting=double"], [])]
     apart = [
         [np.abs(a.pose.mean.localCoordinates(b.pose.mean)).max() for a, b in zip(runs[0], other, strict=True)]
         for other in runs[1:]

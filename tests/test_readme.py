@@ -32,7 +32,7 @@ def kitti(drive, tmp_path):
 
 
 @pytest.mark.parametrize("snippet", SNIPPETS)
-def test_it_runs(snippet, kitti, tmp_path, monkeypatch):
+def test_it_runs(snippet, kitti, tmp_path, monkeypatch, undrawn):
     monkeypatch.chdir(tmp_path)
     for large, small in (
         ("/data/kitti/sequences/03", str(kitti)),

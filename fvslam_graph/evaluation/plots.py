@@ -102,7 +102,8 @@ def plot_runs(
                 f"{run.folder or run.name} holds too few poses to plot, {len(run.online)}; two are needed"
             )
     level = np.eye(4)
-    level[:3, :3] = level_axes(np.array(runs[0].info.get("down") or (0.0, 1.0, 0.0)))
+    down = runs[0].info.get("down")
+    level[:3, :3] = level_axes(np.array((0.0, 1.0, 0.0) if down is None else down))
     truth = _ground_truth(runs)
     origin = truth.poses[0].inverse().matrix() if truth else np.eye(4)
     curves = [_curve(run, align, colour, level, origin) for run, colour in zip(runs, cycle(RUN_COLOURS), strict=False)]

@@ -1,6 +1,7 @@
 """A factor graph fed with motions and landmarks of a simulated scene."""
 
 from collections.abc import Callable
+from functools import cache
 
 import gtsam
 import numpy as np
@@ -36,7 +37,7 @@ class Fed:
         return float(np.sqrt(((smoothed.positions - self.scene.trajectory.positions) ** 2).sum(axis=1).mean()))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fed() -> Callable[..., Fed]:
     """Feeds a graph, with a share of motions and of pixels that are grossly wrong.
 
@@ -90,6 +91,12 @@ def fed() -> Callable[..., Fed]:
         return made
 
     return make
+
+
+@pytest.fixture(scope="session")
+def error_fed(fed: Callable[..., Fed]) -> Callable[..., float]:
+    """The error of what was fed so; what several tests ask for is fed once."""
+    return cache(lambda **options: fed(**options).error())
 
 
 def error_of(scene: PointScene, first: int, second: int, motion: gtsam.Pose3) -> np.ndarray:

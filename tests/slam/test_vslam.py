@@ -1,6 +1,7 @@
 """The filter on simulated points: right without noise, honest with it, and not led astray."""
 
 from collections import Counter
+from functools import cache
 
 import gtsam
 import numpy as np
@@ -31,16 +32,20 @@ def test_without_noise_there_is_no_error(kind):
     assert {estimate.status for estimate in estimates} == {Status.TRACKED}
 
 
+@cache
+def flown(kind: str, seed: int, wrong: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Errors and covariances of poses along a short path, with a share of wrong matches."""
+    scene = SCENES[kind](frames=42, seed=seed, noise=0.5, landmarks=4000)
+    return pose_errors(scene, list(run_vslam(scene, NOISY, seed, wrong)))
+
+
 @pytest.mark.parametrize("kind", SCENES)
-def test_covariances_are_honest(kind):
+@pytest.mark.parametrize("seeds", [range(12), pytest.param(range(12, 60), marks=pytest.mark.slow, id="many")])
+def test_covariances_are_honest(kind, seeds):
     """The NEES of poses over seeds; `scripts/monte_carlo.py` does the same for longer."""
-    seeds, values = 12, []
-    for seed in range(seeds):
-        scene = SCENES[kind](frames=42, seed=seed, noise=0.5, landmarks=4000)
-        errors, covariances = pose_errors(scene, list(run_vslam(scene, NOISY, seed))[1:])
-        values.append(nees(errors, covariances)[0])
+    values = [nees(*(array[1:] for array in flown(kind, seed)))[0] for seed in seeds]
     steps = np.mean(values, axis=0)
-    low, high = nees_band(6, seeds, 0.999)
+    low, high = nees_band(6, len(seeds), 0.999)
     assert np.mean((steps > low) & (steps < high)) > 0.9
     assert 4.5 < np.mean(values) < 7.5  # measured 5.0 (drive) and 5.5 (flight)
 
@@ -48,12 +53,7 @@ def test_covariances_are_honest(kind):
 @pytest.mark.parametrize("kind", SCENES)
 def test_half_of_the_matches_may_be_wrong(kind):
     def positions_off(wrong: float) -> float:
-        squares = []
-        for seed in range(6):
-            scene = SCENES[kind](frames=42, seed=seed, noise=0.5, landmarks=4000)
-            errors, _ = pose_errors(scene, list(run_vslam(scene, NOISY, seed, wrong)))
-            squares.append((errors[:, 3:] ** 2).sum(axis=1))
-        return float(np.sqrt(np.mean(squares)))
+        return float(np.sqrt(np.mean([(flown(kind, seed, wrong)[0][:, 3:] ** 2).sum(axis=1) for seed in range(6)])))
 
     clean = positions_off(0.0)
     assert 0.05 < clean < 2.0  # metres over 42 m, most of it the scale

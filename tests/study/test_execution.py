@@ -94,7 +94,7 @@ def test_a_run_that_fails_is_a_row_with_its_reason(job, tmp_path, monkeypatch):
 def test_a_cluster_that_exists(jobs, serial, tmp_path):
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster:
         rows = dict(execute_all(jobs[:2], tmp_path, SIM3, scheduler=cluster.scheduler_address))
     assert table(rows) == table({number: serial[number] for number in rows})
 
