@@ -38,9 +38,7 @@ def main() -> None:
     parser.add_argument("--moments", type=int, default=20, help="of each command")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # commands would ignore it where a shell's "&" has begun this
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's "&" lets commands ignore
     chance = random.Random(arguments.seed)
     kinds = ["SIGKILL", "SIGTERM", "SIGINT", *(["full disk"] if os.geteuid() == 0 else [])]
     with tempfile.TemporaryDirectory() as name:
