@@ -15,6 +15,7 @@ from fvslam_graph.text_files import read_text
 
 LARGEST = 200_000_000  # bytes, a million poses and more
 SINCE_1970 = 1e17  # larger stamps are nanoseconds: as seconds, they were older than the universe
+FARTHEST = 1e15  # m, a tenth of a light year; a path through positions beyond it has no length
 FAR_APART = 1e5  # whole numbers that grow by more from row to row are nanoseconds: as seconds, they were a day apart
 
 
@@ -77,7 +78,10 @@ def read_rows(path: Path, unfinished: bool = False, known: Layout | None = None)
             notes.append(f"{path.name}: the stamps are read as nanoseconds")
         if (latest := np.abs(stamps).max()) > SINCE_1970:
             raise TrajectoryError(f"{path} has the stamp {latest:g}, which is no time in seconds")
-    return PoseRows(numbers, len(rows), stamps, values[:, layout.value], tuple(notes))
+    poses = values[:, layout.value]
+    if (away := np.abs(poses).max()) > FARTHEST:
+        raise TrajectoryError(f"{path} has a pose with the number {away:g}, which is no place in metres")
+    return PoseRows(numbers, len(rows), stamps, poses, tuple(notes))
 
 
 def _split(text: str) -> tuple[str, list[str]]:

@@ -110,9 +110,9 @@ def test_what_was_read_otherwise_than_written_is_noted(tmp_path, fvslam):
 def test_positions_that_are_none(tmp_path, fvslam):
     path, far = tmp_path / "truth.tum", tmp_path / "far.tum"
     flight(np.arange(5.0)).write_tum(path)
-    far.write_text("".join(f"{stamp} 0 {1e300 * stamp} 0 0 0 0 1\n" for stamp in range(5)))
+    far.write_text("".join(f"{stamp} 0 {1e10 * stamp} 0 0 0 0 1\n" for stamp in range(5)))
     code, out, err = fvslam("evaluate", path, "--reference", far)
-    assert (code, out) == (1, "") and "the reference has a position 4e+300 m away" in err and err.count("\n") == 1
+    assert (code, out) == (1, "") and "the reference has a position 4e+10 m away" in err and err.count("\n") == 1
 
 
 def flight(stamps, late=0.0):

@@ -100,7 +100,8 @@ def test_a_line_that_its_writer_did_not_finish(tmp_path):
         ("0 1 2 3 0 0 0 1\n2 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n", "not later than the one before, at pose 3 of 3"),
         ("0 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n", "not later than the one before, at pose 2 of 2"),
         ("0 1 2 3 0 0 0 0.9\n", "a quaternion whose length is not 1, at pose 1 of 1"),
-        ("0 1 2 3 0 0 0 1e300\n", "a quaternion whose length is not 1"),
+        ("0 1 2 3 0 0 0 9\n", "a quaternion whose length is not 1"),
+        ("0 1 2 -1e300 0 0 0 1\n", "a pose with the number 1e+300, which is no place in metres"),
         ("0 1 2 nan 0 0 0 1\n1 inf 2 3 0 0 0 1\n", "each of the 2 poses has a number that is not finite"),
         ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n1e300 1 2 3 0 0 0 1\n", "the stamp 1e+300, which is no time in seconds"),
         ("0 1 2 3 0 0 0 1\x00\n", "holds NUL bytes"),
@@ -122,7 +123,7 @@ def test_damaged_tum_files(tmp_path, text, complaint):
     ("row", "complaint"),
     [
         ("1 0 0 0 0 1 0 0 0 0 1", "pose 2 has 11 numbers instead of 12"),
-        ("1e300 0 0 0 0 1 0 0 0 0 1 0", "without a proper rotation matrix, at pose 2 of 2"),
+        ("1e9 0 0 0 0 1 0 0 0 0 1 0", "without a proper rotation matrix, at pose 2 of 2"),
         ("0 0 0 0 0 0 0 0 0 0 0 0", "without a proper rotation matrix, at pose 2 of 2"),
         ("1 0 0 0 0 1 0 0 0 0 -1 0", "without a proper rotation matrix, at pose 2 of 2"),
         ("1.1 0 0 0 0 1.1 0 0 0 0 1.1 0", "without a proper rotation matrix, at pose 2 of 2"),

@@ -85,9 +85,9 @@ STUDY = "study {at}/study.yaml --out {out} --workers 1"
 TRUTH = "recording/groundtruth.tum"
 COMPARE = f"compare {{at}}/recording --modes vo --seeds 1 --external X={{at}}/{TRUTH} --out {{out}}"
 SUBJECTS = {
-    "folder": layout(40, "folder"),
+    "folder": layout(30, "folder"),
     "kitti": layout(30, "kitti"),
-    "kitti_raw": layout(40, "kitti_raw", "/2011_09_26/2011_09_26_drive_0007_sync"),
+    "kitti_raw": layout(30, "kitti_raw", "/2011_09_26/2011_09_26_drive_0007_sync"),
     "karlsruhe": layout(25, "karlsruhe"),
     "euroc": layout(30, "euroc"),
     "tum": layout(30, "tum"),
@@ -98,10 +98,10 @@ SUBJECTS = {
     "tum-tum": pair("estimate.tum", "reference.tum"),
     "kitti-tum": pair("estimate.kitti", "reference.tum"),
     "tum-asl": pair("estimate.tum", "reference.csv"),
-    "run": Subject(30, "run", ("evaluate {at}/run",), r"run/.*", lambda at: evaluation(at / "run")),
+    "run": Subject(20, "run", ("evaluate {at}/run",), r"run/.*", lambda at: evaluation(at / "run")),
     "plot": Subject(2, "run", ("plot {at}/run --out {out}",), OF_A_RUN, None),
-    "settings": Subject(25, "settings", (SETTINGS,), r"config\.yaml", None),
-    "study": Subject(20, "study", (STUDY,), r"study\.yaml", None),
+    "settings": Subject(15, "settings", (SETTINGS,), r"config\.yaml", None),
+    "study": Subject(12, "study", (STUDY,), r"study\.yaml", None),
     "external": Subject(0.2, "study", (COMPARE,), TRUTH, None),
 }
 
