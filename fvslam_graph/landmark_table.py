@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.errors import ResultsError
 from fvslam_graph.slam.estimate import Outcome, SlamEstimate
+from fvslam_graph.text_files import OWN_MAX_SIZE, read_text
 
 NEW = "new"  # in place of an outcome: begins at this frame
 _NUMBERS = (
@@ -49,7 +51,7 @@ def read_landmarks(path: Path, frame: int) -> dict[str, NDArray[np.generic]]:
     Raises:
         ValueError: The file is damaged.
     """
-    lines = path.read_text().splitlines()[1:]
+    lines = read_text(path, ResultsError, OWN_MAX_SIZE).splitlines()[1:]
     cells = np.array([line.split(",") for line in lines if line.startswith(f"{frame},")]).reshape(-1, len(COLUMNS))
     columns: dict[str, NDArray[np.generic]] = {"outcome": cells[:, COLUMNS.index("outcome")]}
     for name in ("id", *_NUMBERS):

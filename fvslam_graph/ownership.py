@@ -106,7 +106,7 @@ def _mark(folder: Path, kind: Kind) -> None:
 def _read(path: Path) -> dict[str, Any]:
     """What a JSON file says; nothing where it cannot be read."""
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(path.read_bytes()) if path.is_file() else {}
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}

@@ -33,7 +33,9 @@ from fvslam_graph.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind
 from fvslam_graph.provenance import peak_memory_mb, provenance
 from fvslam_graph.results import FrameResult, Relatives, Run, smooth
 from fvslam_graph.slam.estimate import SlamEstimate
+from fvslam_graph.text_files import OWN_MAX_SIZE, read_text
 from fvslam_graph.trajectory import Status, Trajectory, kitti_line, tum_line
+from fvslam_graph.yaml_files import read_yaml_mapping
 
 ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
 SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"
@@ -244,7 +246,7 @@ def is_finished(folder: Path) -> bool:
     """Whether it is the folder of a run that came to its end."""
     try:
         return kind_of(folder) is Kind.RUN and _read_info(folder / INFO)["status"] == "finished"
-    except (OSError, ValueError):
+    except (ResultsError, ValueError):
         return False
 
 
@@ -301,24 +303,21 @@ class _Info(BaseModel):
 
 
 def _read_info(path: Path) -> dict[str, Any]:
-    text = path.read_text()
+    text = read_text(path, ResultsError)
+    info: dict[str, Any] = json.loads(text)
     try:
         _Info.model_validate_json(text)
     except ValidationError as error:
         raise ValueError(complaint(error, _Info, "entry")) from None
-    info: dict[str, Any] = json.loads(text)
     return info
 
 
 def _read_config(path: Path) -> dict[str, Any]:
-    content = yaml.safe_load(path.read_text())
-    if not isinstance(content, dict):
-        raise ValueError("it should hold a mapping of settings")
-    return content
+    return read_yaml_mapping(path, ResultsError)
 
 
 def _read_frames(path: Path) -> dict[str, NDArray[Any]]:
-    text = path.read_text()
+    text = read_text(path, ResultsError, OWN_MAX_SIZE)
     reader = csv.DictReader(text[: text.rfind("\n") + 1].splitlines(), restval="missing")
     rows = list(reader)
     types = {"index": np.int64, "status": np.str_}
@@ -334,6 +333,8 @@ def _read_frames(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _read_relatives(path: Path) -> Relatives:
+    if not path.is_file():  # a pipe would wait for ever
+        raise ValueError("it is no file")
     with np.load(path) as arrays:
         found = Relatives(arrays["previous"], arrays["prev_T_cur"], arrays["covariances"])
     count = len(found.previous)

@@ -7,6 +7,7 @@ from pathlib import Path
 from fvslam_graph.errors import FvslamError
 
 MAX_SIZE = 50_000_000  # bytes; as words, a table takes twenty times the memory
+OWN_MAX_SIZE = 1_000_000_000  # bytes, of what a long run writes
 
 
 def read_text(path: Path, error: type[FvslamError], max_size: int = MAX_SIZE) -> str:

@@ -77,7 +77,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "draw_without_rendering", lambda figure: None)
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).write_bytes(b"not drawn"))
+    monkeypatch.setattr(Figure, "savefig", lambda figure, file, **options: file.write(b"not drawn"))
 
 
 class Outcome(NamedTuple):

@@ -1,6 +1,7 @@
 """A run folder is written as the run goes on, and read back whatever happened to the run."""
 
 import json
+import os
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -184,14 +185,29 @@ def test_a_folder_without_a_run_is_one_sentence(tmp_path: Path) -> None:
 )
 def test_a_damaged_file_is_one_sentence(tmp_path: Path, name: str, content: str) -> None:
     (write(tmp_path) / name).write_text(content)
-    with pytest.raises(ResultsError, match=rf"{name} cannot be read") as caught:
+    with pytest.raises(ResultsError, match=rf"{name} (cannot be read|is not valid YAML)") as caught:
         read_run(tmp_path)
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["frames.csv", "config.yaml", "covariances.npz"])
+def test_a_pipe_is_one_sentence(tmp_path: Path, name: str) -> None:
+    file = write(tmp_path) / name
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(ResultsError, match=f"{name}.*(no regular file|no file)"):
+        read_run(tmp_path)
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
+    file = write(tmp_path) / "run.json"
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert read_run(tmp_path).info["status"] == "finished"
+
+
 def test_a_damaged_trajectory_is_named(tmp_path: Path) -> None:
     (write(tmp_path) / "trajectory_online.tum").write_text("0 0 0 0 0 0 0\n")
-    with pytest.raises(TrajectoryError, match=r"trajectory_online\.tum: pose 1 has 7 numbers"):
+    with pytest.raises(TrajectoryError, match=r"trajectory_online\.tum is neither a TUM file .* it has 7"):
         read_run(tmp_path)
 
 
@@ -329,7 +345,7 @@ def corrupt(folder: Path) -> None:
         (edit("run.json", down=[0, 0, 0]), r"run\.json .*'down' cannot be .*no direction"),
         (edit("run.json", down="up"), r"run\.json .*'down' cannot be 'up'"),
         (edit("run.json", totals=[]), r"run\.json .*'totals' cannot be \[\]"),
-        (text("config.yaml", "3"), r"config\.yaml cannot be read.*mapping"),
+        (text("config.yaml", "3"), r"config\.yaml is not a YAML file"),
         (text("frames.csv", "index,stamp\n0,0.0\n"), r"frames\.csv cannot be read.*no columns"),
         (text("frames.csv", "index,stamp,status\n0,0.0,lost\n"), r"frames\.csv cannot be read.*no status 'lost'"),
         (text("frames.csv", f"index,stamp,status\n{'9' * 40},0,tracked\n"), r"frames\.csv cannot be read"),

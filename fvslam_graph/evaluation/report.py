@@ -14,6 +14,7 @@ from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.files import one_line
 from fvslam_graph.results import Run
 from fvslam_graph.run_folder import METRICS, read_run
+from fvslam_graph.text_files import read_text
 from fvslam_graph.trajectory import Status
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def summary_table(evaluation: Evaluation) -> RichTable:
 def _row(folder: Path, run: Run) -> list[str]:
     path = folder / METRICS
     try:
-        cells = _metric_cells(json.loads(path.read_text()) if path.exists() else {})
+        cells = _metric_cells(json.loads(read_text(path, ResultsError)) if path.exists() else {})
     except (OSError, ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
         raise ResultsError(f"{path} cannot be read, evaluate the run again: {error}") from None
     if (run.info.get("smoothed") or "").startswith("not determined"):

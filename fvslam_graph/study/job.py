@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 
 import fvslam_graph
 from fvslam_graph.config import Config
-from fvslam_graph.errors import FvslamError
+from fvslam_graph.errors import FvslamError, ResultsError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
@@ -29,6 +29,7 @@ from fvslam_graph.results import Run
 from fvslam_graph.run_folder import RunWriter, read_run
 from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.text_files import read_text
 from fvslam_graph.trajectory import Status
 
 LARGEST = 2e9  # bytes of rendered images
@@ -163,8 +164,8 @@ def _run(job: Job, folder: Path, rendered: Path | None) -> None:
 def kept(folder: Path, align: Alignment) -> Row | None:
     """The row of a run that was done and evaluated before; None where it was not."""
     try:
-        row = json.loads(_row_file(folder, align).read_text())
-    except (OSError, ValueError, RecursionError):
+        row = json.loads(read_text(_row_file(folder, align), ResultsError))
+    except (ResultsError, ValueError, RecursionError):
         return None
     if not isinstance(row, dict):
         return None
