@@ -182,10 +182,11 @@ class Solver:
     def _linearise_again(self, newest: Iterable[int]) -> None:
         """Linearise again what has moved, all at once, but for landmarks that came to lie behind a camera.
 
-        There a projection says nothing: once linearised, they would not be determined.
+        There a projection says nothing: once linearised, they would not be determined. Without them the path is another
+        one, behind which others may lie.
         """
         self._relinearised = self._updates
-        if lost := astray(self._solver.getFactorsUnsafe(), self._solver.calculateEstimate()):
+        while lost := astray(self._solver.getFactorsUnsafe(), self._solver.calculateEstimate()):
             self._remove(lost.__contains__)
             self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._sightings.drop(lost))
         again = gtsam.ISAM2UpdateParams()

@@ -101,9 +101,9 @@ def test_darkness_of_ten_updates(fed, recognised, seeds):
         assert graph.solver.repaired == []
         turns.append(np.sqrt(np.trace(graph.pose(100).covariance[:3, :3])))
         noises.append(graph._noise.sigma)
-    if recognised:  # by two to ten landmarks
-        assert np.median(turns) < 0.2  # rad; measured 0.016
-        assert PIXEL / 2 < np.median(noises) < 8 * PIXEL  # the path swings into place; measured 0.8
+    if recognised:  # by two to ten landmarks, among which the path takes a while to swing into place
+        assert np.median(turns) < 0.5  # rad; measured 0.004 to 0.10
+        assert PIXEL / 2 < np.quantile(noises, 0.25) < 4 * PIXEL  # measured 0.39 to 0.57
     else:
         assert min(turns) > 1  # measured 2.32, which is what was guessed
         assert PIXEL / 2 < min(noises) < max(noises) < 2 * PIXEL  # measured 0.27 to 0.31
