@@ -17,7 +17,7 @@ class Alignment(StrEnum):
 
     @classmethod
     def named(cls, name: str) -> Alignment:
-        """By its name; raises FvslamError where there is none of that name."""
+        """Return the one of a name; raises FvslamError where there is none."""
         if name not in list(cls):
             raise FvslamError(f"the alignment is one of {', '.join(cls)}, not '{name}'")
         return cls(name)
