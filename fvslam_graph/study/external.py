@@ -72,14 +72,14 @@ def external_row(name: str, file: str, sequence: Sequence, align: Alignment) -> 
 
 
 def _cut(trajectory: Trajectory, sequence: Sequence) -> Trajectory:
-    """The pose nearest to each frame, at most half a frame away; all, where the two have no time in common."""
+    """The pose nearest to each frame, at most half a frame away; all, where that is one at most."""
     after = np.clip(np.searchsorted(trajectory.stamps, sequence.stamps), 1, max(len(trajectory) - 1, 1))
     pairs = np.minimum(np.stack([after - 1, after]), len(trajectory) - 1)
     away = np.abs(trajectory.stamps[pairs] - sequence.stamps)
     nearest = np.where(away[0] <= away[1], *pairs)
     period = np.median(np.diff(sequence.stamps)) if len(sequence) > 1 else np.inf
     kept = np.unique(nearest[away.min(axis=0) <= period / 2])
-    if not len(kept):  # the evaluation says how they differ
+    if len(kept) < 2:  # other units, or another clock: the evaluation says how they differ
         return trajectory
     return replace(trajectory, stamps=trajectory.stamps[kept], poses=tuple(trajectory.poses[row] for row in kept))
 

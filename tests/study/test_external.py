@@ -41,6 +41,9 @@ def test_files_of_another_sequence(sequence, tmp_path):
         external_run("other", f"{tmp_path}/short.kitti", sequence)
     row, run = external_row("other", f"{tmp_path}/late.tum", sequence, Alignment.SIM3)
     assert run is None and row["status"].startswith("failed: 0 of 12 poses have a reference")
+    Trajectory(np.rint(1e9 * truth.stamps), truth.poses).write_tum(tmp_path / "nanoseconds.tum")
+    row, _ = external_row("other", f"{tmp_path}/nanoseconds.tum", sequence, Alignment.SIM3)
+    assert "seem to be nanoseconds" in row["status"]  # although the first stamp of both is 0
     with pytest.raises(TrajectoryError, match=r"its poses are for frames 1000 to 1011; use the stamps"):
         external_run("other", f"{tmp_path}/late.tum@0.1", sequence)
     row, _ = external_row("other", f"{tmp_path}/absent.tum", sequence, Alignment.SIM3)
