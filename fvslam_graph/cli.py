@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -87,18 +87,17 @@ def run(
 
     given = [f"{name}={value}" for name, value in (("mode", mode), ("seed", seed)) if value is not None]
     chosen = load_config(preset, config, [*given, *(settings or [])])
-    source: dict[str, Any] = {
-        "path": path if path.startswith("synthetic:") else str(Path(path).absolute()),
-        "frames": frames,
-        "stride": stride,
-        "scale": image_scale,
-        "camera_height": camera_height,
-        "camera_pitch": camera_pitch,
-        "camera_k1": camera_k1,
-    }
-    sequence = open_sequence(**source)
+    sequence = open_sequence(
+        path,
+        frames=frames,
+        stride=stride,
+        scale=image_scale,
+        camera_height=camera_height,
+        camera_pitch=camera_pitch,
+        camera_k1=camera_k1,
+    )
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{chosen.mode}-{chosen.preset}"
-    said = _run(sequence, chosen, folder, source)
+    said = _run(sequence, chosen, folder)
     typer.echo(f"{said}; next: fvslam evaluate {folder}; fvslam plot {folder}")
 
 
@@ -267,7 +266,7 @@ def _carry_out(study: Study, out: Path, workers: int | None, scheduler: str | No
         raise FvslamError("no run came to its end; the table says why")
 
 
-def _run(sequence: Sequence, config: Config, folder: Path, source: dict[str, Any] | None = None) -> str:
+def _run(sequence: Sequence, config: Config, folder: Path) -> str:
     """Run, and say how many frames came out how."""
     from fvslam_graph.files import one_line
     from fvslam_graph.pipeline import applicable, estimate, facts
@@ -278,9 +277,7 @@ def _run(sequence: Sequence, config: Config, folder: Path, source: dict[str, Any
     if effective != config:
         typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
     statuses: Counter[Status] = Counter()
-    with RunWriter(
-        folder, effective, {**facts(sequence, effective), "source": source}, sequence.ground_truth
-    ) as writer:
+    with RunWriter(folder, effective, facts(sequence, effective), sequence.ground_truth) as writer:
         for result in _progress(estimate(sequence, effective), len(sequence), sequence.name):
             writer.add(result)
             statuses[result.status] += 1

@@ -171,6 +171,7 @@ def facts(sequence: Sequence, config: Config) -> dict[str, Any]:
         "sequence": sequence.name,
         "format": sequence.format,
         "frames": len(sequence),
+        "source": sequence.source,
         "scale_source": config.scale.source.value,
         "ground": None if sequence.ground is None else sequence.ground.source,
         "down": None if sequence.ground is None else sequence.ground.normal,

@@ -6,6 +6,7 @@ import pytest
 
 import fvslam_graph
 from fvslam_graph.errors import ConfigError, FvslamError
+from fvslam_graph.evaluation.landmark_plots import plot_landmarks
 from fvslam_graph.evaluation.plots import FIGURES, plot_runs
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.trajectory import Trajectory
@@ -28,6 +29,14 @@ def test_a_run_in_memory_is_the_run_in_a_folder(tmp_path, undrawn):
     assert memory.config == folder.config
     assert all(folder.info[key] == value for key, value in memory.info.items() if key != "down")
     assert len(plot_runs([memory], tmp_path / "plots")) == 2 * len(FIGURES)
+    at = int(np.flatnonzero(folder.frames["landmarks"] > 0)[-1])
+    assert len(plot_landmarks(tmp_path / "run", [at], tmp_path / "plots")) == 1
+
+
+def test_landmarks_of_a_recording_that_cannot_be_opened_again(tmp_path):
+    fvslam_graph.run(open_sequence(SHORT).select(2), mode="vslam", out=tmp_path / "run")
+    with pytest.raises(FvslamError, match="does not know the recording"):
+        plot_landmarks(tmp_path / "run", [5], tmp_path / "plots")
 
 
 def test_everything_that_can_be_evaluated(tmp_path):

@@ -41,8 +41,10 @@ def plot_landmarks(folder: Path, frames: list[int], out: Path) -> list[Path]:
 
     run = read_run(folder)
     table, source = folder / LANDMARKS, run.info.get("source")
-    if not table.exists() or source is None:
+    if not table.exists():
         raise ResultsError(f"{folder} has no landmarks to show; run it with visual SLAM, as by --mode vslam")
+    if source is None:
+        raise ResultsError(f"{folder / INFO} does not know the recording, which was changed after it was opened")
     try:
         sequence = open_sequence(**source)
     except (TypeError, ValueError, AttributeError):

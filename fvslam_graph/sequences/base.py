@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -67,6 +68,7 @@ class Sequence:
         ground_truth: world_T_camera of this camera; its stamps need not be those of the images.
         ground: What is known about the ground plane.
         notes: Gaps and oddities found on opening, one sentence each.
+        source: What `open_sequence` takes to open it again; None where that is not known.
     """
 
     name: str
@@ -77,6 +79,7 @@ class Sequence:
     ground_truth: Trajectory | None = None
     ground: Ground | None = None
     notes: tuple[str, ...] = ()
+    source: dict[str, Any] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -105,7 +108,7 @@ class Sequence:
         chosen = np.array(kept)
         ground = self.ground and replace(self.ground, heights=self.ground.heights[chosen])
         load = self.load
-        return replace(self, stamps=self.stamps[chosen], load=lambda i: load(kept[i]), ground=ground)
+        return replace(self, stamps=self.stamps[chosen], load=lambda i: load(kept[i]), ground=ground, source=None)
 
     def scaled(self, factor: float) -> Sequence:
         """The same recording with images resized by `factor` (0 < factor <= 1)."""
@@ -119,7 +122,7 @@ class Sequence:
             small: Image = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
             return small
 
-        return replace(self, camera=camera, load=resized)
+        return replace(self, camera=camera, load=resized, source=None)
 
     def straightened(self, k1: float) -> Sequence:
         """The same recording with a radial distortion taken out of its images: k1 of OpenCV's model.
@@ -139,4 +142,4 @@ class Sequence:
             return None if image is None or image.shape != size else rectifier(image)
 
         note = f"a radial distortion of k1 = {k1:g} is taken out of the images"
-        return replace(self, load=straight, notes=(*self.notes, note))
+        return replace(self, load=straight, notes=(*self.notes, note), source=None)

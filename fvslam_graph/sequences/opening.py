@@ -66,7 +66,19 @@ def open_sequence(
     sequence = override_ground(sequence, camera_height, camera_pitch).select(start, stop, stride)
     if camera_k1 is not None:
         sequence = sequence.straightened(camera_k1)
-    return sequence if scale == 1 else sequence.scaled(scale)
+    if scale != 1:
+        sequence = sequence.scaled(scale)
+    source = {
+        "path": str(path) if str(path).startswith("synthetic:") else str(Path(path).expanduser().absolute()),
+        "frames": frames,
+        "stride": stride,
+        "scale": scale,
+        "camera_height": camera_height,
+        "camera_pitch": camera_pitch,
+        "camera_k1": camera_k1,
+        "format": format,
+    }
+    return replace(sequence, source=source)
 
 
 def _synthetic(name: str | Path) -> Sequence:

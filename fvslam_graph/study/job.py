@@ -155,8 +155,7 @@ def _run(job: Job, folder: Path, rendered: Path | None) -> None:
     sequence = _opened(job.source, rendered)
     config = applicable(job.config, sequence)
     forget_peak_memory()
-    source = job.source.model_dump(exclude={"name"})
-    with RunWriter(folder, config, {**facts(sequence, config), "source": source}, sequence.ground_truth) as writer:
+    with RunWriter(folder, config, facts(sequence, config), sequence.ground_truth) as writer:
         for result in estimate(sequence, config):
             writer.add(result)
 
