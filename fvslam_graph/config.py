@@ -38,7 +38,7 @@ class VoSettings(_Group):
 
     min_inliers: PositiveInt = Field(20, ge=6)  # fewer, and the motion model carries on
     min_inlier_share: float = Field(0.5, ge=0, le=1)  # of the tracks that two views must explain
-    ransac_threshold: PositiveFloat = 0.7  # pixels, Sampson distance of an inlier
+    ransac_threshold: PositiveFloat = 0.7  # pixels, Sampson distance of an inlier in RANSAC
     ransac_iterations: PositiveInt = 25  # at least
     static_parallax: PositiveFloat = 0.3  # pixels; less, beyond a small rotation, is standing still
     static_rotation: PositiveFloat = 0.0035  # rad; a vehicle that stands still may shake by this

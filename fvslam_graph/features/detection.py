@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
-from operator import attrgetter
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Image
 from fvslam_graph.config import FeatureSettings
+from fvslam_graph.features.texture import Texture
 
 BORDER = 8  # pixels at the rim where no patch fits
 PER_CELL = 2  # corners in a grid cell: few, so that they are spread, and not one, so that texture counts too
 
 
-def detect(image: Image, settings: FeatureSettings, taken: NDArray[np.float64] | None = None) -> NDArray[np.float32]:
-    """The strongest FAST corners (Rosten and Drummond 2006) of every cell of a grid.
+def detect(
+    texture: Texture, settings: FeatureSettings, taken: NDArray[np.float64] | None = None
+) -> NDArray[np.float32]:
+    """FAST corners (Rosten and Drummond 2006), of every cell of a grid those with most texture in any direction.
 
     Args:
-        image: (H, W) uint8.
+        texture: Of the image.
         settings: How many, how strong, how far apart.
         taken: (M, 2) pixels of points that exist: they use up places in their cell, and no new corner lies within
             `spacing` pixels of one.
@@ -28,25 +29,22 @@ def detect(image: Image, settings: FeatureSettings, taken: NDArray[np.float64] |
     Returns:
         (N, 2) pixels; N is below `count` where the image has empty cells.
     """
-    factor = 2**settings.octave
-    height, width = (side // factor * factor for side in image.shape)
-    small = cv2.resize(image[:height, :width], (width // factor, height // factor), interpolation=cv2.INTER_AREA)
+    small, factor = texture.image, texture.factor
+    height, width = (side * factor for side in small.shape)
     keypoints = cv2.FastFeatureDetector_create(settings.threshold, True).detect(small)
     if not keypoints:
         return np.empty((0, 2), np.float32)
     taken = np.empty((0, 2)) if taken is None else taken
     corners = cv2.KeyPoint_convert(keypoints)
-    strength = np.fromiter(map(attrgetter("response"), keypoints), float, len(keypoints))
     column, row = corners.astype(np.intp).T
     kept = _free(small.shape, taken / factor, BORDER // factor, settings.spacing // factor)[row, column] > 0
+    strength = texture.strength(corners[kept].astype(np.intp))
     corners = (corners[kept] + np.float32(0.5)) * factor - np.float32(0.5)
-    strength = strength[kept]
 
     cell = math.ceil(math.sqrt(width * height * PER_CELL / settings.count))
     columns = -(-width // cell)
     cells = _cells(corners, cell, columns)
-    # By cell, strongest first; the last term only decides between equals.
-    order = np.argsort(cells - strength / 256 + np.arange(len(cells)) / (512 * len(cells)))
+    order = np.lexsort((-strength, cells))
     cells = cells[order]
     first = np.flatnonzero(np.diff(cells, prepend=-1))
     rank = np.arange(len(cells)) - np.repeat(first, np.diff(first, append=len(cells)))

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Image
 from fvslam_graph.config import FeatureSettings
 from fvslam_graph.features.detection import BORDER, detect
+from fvslam_graph.features.exposure import exposed, exposure_change, reduced
+from fvslam_graph.features.texture import Texture
 from fvslam_graph.features.tracks import Tracks
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
@@ -23,36 +25,52 @@ class KltTracker:
 
     def __init__(self, settings: FeatureSettings) -> None:
         self.settings = settings
-        self._image: Image | None = None
+        self._image: Image | None = None  # the reference, in the exposure of the last image
+        self._reduced = np.empty((0, 0))  # the last image
         self._next_id = 0
         self._ids = np.empty(0, np.int64)
         self._points = np.empty((0, 2), np.float32)
+        self._covariances = np.empty((0, 2, 2))
         self._guess = self._points  # where they were seen last
 
     def track(self, image: Image) -> Tracks:
         """The points of the reference that are found in `image`, forwards and back within `klt_backward` pixels."""
         if self._image is None or not len(self._points):
             return Tracks.none()
-        found, forward = self._align(self._image, image, self._points, self._guess, self.settings.klt_levels)
-        # The way back starts at the answer, so that the full image suffices.
-        returned, backward = self._align(image, self._image, found, self._points, 0)
-        height, width = image.shape
-        inside = np.all((found > BORDER) & (found < (width - BORDER - 1, height - BORDER - 1)), axis=1)
-        error = np.linalg.norm(returned - self._points, axis=1)
-        good = forward & backward & inside & (error < self.settings.klt_backward)
+        found, good = self._follow(self._image, image)
+        before, self._reduced = self._reduced, reduced(image)
+        if change := exposure_change(before, self._reduced):
+            # It may be the scene that has changed: what finds more points is right.
+            reference = exposed(self._image, *change)
+            others = self._follow(reference, image)
+            if others[1].sum() > good.sum():
+                self._image, (found, good) = reference, others
         self._guess = np.where(good[:, None], found, self._guess)
-        return Tracks(self._ids[good], self._points[good].astype(float), found[good].astype(float))
+        current = found[good].astype(float)
+        return Tracks(self._ids[good], self._points[good].astype(float), current, self._covariances[good])
 
     def rebase(self, image: Image, kept: Tracks) -> Tracks:
         """Make `image` the reference: its points, the kept tracks and new corners, are returned."""
-        corners = detect(image, self.settings, kept.current)
-        self._image = image
+        texture = Texture.of(image, self.settings.octave)
+        corners = detect(texture, self.settings, kept.current)
+        self._image, self._reduced = image, reduced(image)
         self._points = np.vstack([kept.current, corners]).astype(np.float32)
         self._ids = np.concatenate([kept.ids, self._next_id + np.arange(len(corners))])
         self._next_id += len(corners)
         self._guess = self._points
         points = self._points.astype(float)
-        return Tracks(self._ids, points, points)
+        self._covariances = texture.displacement_covariances(points)
+        return Tracks(self._ids, points, points, self._covariances)
+
+    def _follow(self, reference: Image, image: Image) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Where the points are in the image, (N, 2), and (N,) whether the way back leads to where they were."""
+        found, forward = self._align(reference, image, self._points, self._guess, self.settings.klt_levels)
+        # The way back starts at the answer, so that the full image suffices.
+        returned, backward = self._align(image, reference, found, self._points, 0)
+        height, width = image.shape
+        inside = np.all((found > BORDER) & (found < (width - BORDER - 1, height - BORDER - 1)), axis=1)
+        error = np.linalg.norm(returned - self._points, axis=1)
+        return found, forward & backward & inside & (error < self.settings.klt_backward)
 
     def _align(
         self, a: Image, b: Image, points: NDArray[np.float32], guess: NDArray[np.float32], levels: int

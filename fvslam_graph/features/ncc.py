@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Image
 from fvslam_graph.config import FeatureSettings
 from fvslam_graph.features.detection import detect
+from fvslam_graph.features.texture import Texture
 from fvslam_graph.features.tracks import Tracks
 
 PATCH = 11  # pixels, side of a patch
@@ -32,7 +33,7 @@ class NccMatcher:
 
     def track(self, image: Image) -> Tracks:
         """The corners of the reference that are matched with corners of `image`."""
-        corners = np.rint(detect(image, self.settings)).astype(np.intp)
+        corners = np.rint(detect(Texture.of(image, self.settings.octave), self.settings)).astype(np.intp)
         if not len(self._points) or not len(corners):
             return Tracks.none()
         correlation = self._patches @ _patches(image, corners).T
@@ -45,16 +46,16 @@ class NccMatcher:
         # What a patch is centred on is a whole pixel, its point need not be.
         beside = self._points[good] - np.rint(self._points[good])
         found = _peak(image, corners[best[good]], self._patches[good]) + beside
-        return Tracks(self._ids[good], self._points[good], found)
+        return Tracks.alike(self._ids[good], self._points[good], found)
 
     def rebase(self, image: Image, kept: Tracks) -> Tracks:
         """Make `image` the reference: its points, the kept tracks and new corners, are returned."""
-        corners = detect(image, self.settings, kept.current)
+        corners = detect(Texture.of(image, self.settings.octave), self.settings, kept.current)
         self._points = np.vstack([kept.current, corners])
         self._ids = np.concatenate([kept.ids, self._next_id + np.arange(len(corners))])
         self._next_id += len(corners)
         self._patches = _patches(image, np.rint(self._points).astype(np.intp))
-        return Tracks(self._ids, self._points, self._points)
+        return Tracks.alike(self._ids, self._points, self._points)
 
 
 def _patches(image: Image, centres: NDArray[np.intp]) -> NDArray[np.float32]:

@@ -42,7 +42,7 @@ class SceneTracker:
         is_wrong = self._rng.random(len(mine)) < self.wrong
         camera = self.scene.camera
         anywhere = self._rng.uniform(0, (camera.width - 1, camera.height - 1), (len(mine), 2))
-        return Tracks(self._ids[mine], self._points[mine], np.where(is_wrong[:, None], anywhere, found))
+        return Tracks.alike(self._ids[mine], self._points[mine], np.where(is_wrong[:, None], anywhere, found))
 
     def rebase(self, image: Image, kept: Tracks) -> Tracks:
         """Make `image` the reference: the kept tracks, and others in view up to the number wanted."""
@@ -52,4 +52,4 @@ class SceneTracker:
         new = self._rng.permutation(new)[: max(self.count - len(kept), 0)]
         self._ids = np.concatenate([kept.ids, seen.ids[new]])
         self._points = np.vstack([kept.current, seen.pixels[new]])
-        return Tracks(self._ids, self._points, self._points)
+        return Tracks.alike(self._ids, self._points, self._points)

@@ -19,22 +19,29 @@ class Tracks:
         ids: (N,) int64, the same number for the same point as long as it is followed.
         reference: (N, 2) pixels in the reference image.
         current: (N, 2) pixels in the current image.
+        covariances: (N, 2, 2) of the displacements, in variances of one on a corner, along either axis.
     """
 
     ids: NDArray[np.int64]
     reference: NDArray[np.float64]
     current: NDArray[np.float64]
+    covariances: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Tracks:
-        return Tracks(self.ids[chosen], self.reference[chosen], self.current[chosen])
+        return Tracks(self.ids[chosen], self.reference[chosen], self.current[chosen], self.covariances[chosen])
 
     @classmethod
     def none(cls) -> Tracks:
         """No tracks at all."""
-        return cls(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+        return cls.alike(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+
+    @classmethod
+    def alike(cls, ids: NDArray[np.int64], reference: NDArray[np.float64], current: NDArray[np.float64]) -> Tracks:
+        """Tracks of corners that err alike."""
+        return cls(ids, reference, current, np.tile(np.eye(2), (len(ids), 1, 1)))
 
 
 class Association(Protocol):

@@ -10,6 +10,7 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.config import FeatureSettings, SlamSettings
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.patches import REACH, align, cut_tiles, search, view_change, warp
+from fvslam_graph.features.texture import Texture
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.slam.finder import Search
 from fvslam_graph.slam.landmarks import Array
@@ -77,7 +78,7 @@ class PatchFinder:
     def candidates(self, frame: Frame, taken: Array) -> Array:
         """FAST corners (K, 2) away from `taken`, (M, 2)."""
         assert frame.image is not None
-        return detect(frame.image, self._features, taken).astype(float)
+        return detect(Texture.of(frame.image, self._features.octave), self._features, taken).astype(float)
 
     def remember(self, frame: Frame, ids: NDArray[np.int64], pixels: Array, map_T_camera: gtsam.Pose3) -> None:
         """Keep the patches around pixels (K, 2)."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 PIXEL_NOISE = 0.3  # pixels, of a displacement along each axis, where no motion has told it
+UNKNOWN = 10.0  # times the usual inverse depth: the deviation of one that is not known
 SHARED = 5  # errors that depths share: those of rotation and direction
 
 
@@ -32,6 +33,12 @@ class InverseDepths:
     def __len__(self) -> int:
         return len(self.ids)
 
+    @property
+    def total_sigmas(self) -> NDArray[np.float64]:
+        """(N,) standard deviations with what they err together."""
+        total: NDArray[np.float64] = np.hypot(self.sigmas, np.linalg.norm(self.shared, axis=1))
+        return total
+
     @classmethod
     def none(cls) -> InverseDepths:
         """Of no points."""
@@ -51,6 +58,15 @@ class InverseDepths:
 
     def __getitem__(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> InverseDepths:
         return InverseDepths(self.ids[chosen], self.values[chosen], self.sigmas[chosen], self.shared[chosen])
+
+    def of(self, ids: NDArray[np.int64]) -> InverseDepths:
+        """The depths of tracks `ids`; those that are not known are as usual, within a large factor."""
+        mine, theirs = self.common(ids)
+        usual = float(np.median(self.values)) if len(self) else 0.0
+        depths = InverseDepths.independent(ids, np.full(len(ids), usual), np.full(len(ids), UNKNOWN * usual))
+        depths.values[theirs], depths.sigmas[theirs] = self.values[mine], self.sigmas[mine]
+        depths.shared[theirs] = self.shared[mine]
+        return depths
 
     def scaled(self, factor: float) -> InverseDepths:
         """The same points with all distances multiplied by `factor`."""
@@ -105,6 +121,7 @@ def triangulate(
     focal: float,
     noise: float = PIXEL_NOISE,
     covariance: NDArray[np.float64] | None = None,
+    covariances: NDArray[np.float64] | None = None,
 ) -> InverseDepths:
     """Inverse depths in the previous camera of points seen in two views; they may come out negative.
 
@@ -119,14 +136,19 @@ def triangulate(
         focal: Pixels.
         noise: Pixels, standard deviation of a track's displacement along each axis.
         covariance: (5, 5) of rotation and direction, as in TwoView; without it, they are exact.
+        covariances: (N, 2, 2) of the displacements, as in Tracks; without them, all are those of corners.
     """
     rotated = current @ rotation.matrix().T
     across = rotated @ gtsam.SO3.Hat(baseline)  # rotated x baseline
     values = (across * np.cross(rotated, previous)).sum(axis=1) / np.maximum((across**2).sum(axis=1), 1e-18)
     # How fast the image of the point moves along its epipolar line when rho changes.
     seen = previous - values[:, None] * baseline
-    speed = np.linalg.norm(baseline[:2] * seen[:, 2:] - baseline[2] * seen[:, :2], axis=1) / seen[:, 2] ** 2
-    sigmas = noise / (focal * np.maximum(speed, 1e-9))
+    turned, step = seen @ rotation.matrix(), rotation.unrotate(baseline)
+    line = (step[2] * turned[:, :2] - step[:2] * turned[:, 2:]) / turned[:, 2:] ** 2
+    speed = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
+    sigmas = noise / (focal * speed)
+    if covariances is not None:
+        sigmas *= np.sqrt(np.einsum("ni,nij,nj->n", line, covariances, line)) / speed
     if covariance is None:
         return InverseDepths.independent(ids, values, sigmas)
     # For y = R (1 + [w]x) y0 and b + |b| B d the cross product above changes by (R w x y) x seen - rho y x (|b| B d).

@@ -12,10 +12,11 @@ from fvslam_graph.errors import EstimationError
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.sequences.base import MOST_DISTORTED, Sequence
 from fvslam_graph.vo.odometry import VisualOdometry
-from fvslam_graph.vo.two_view import LOSS_SCALE, rays, sampson
+from fvslam_graph.vo.two_view import epipolar_distance, rays
 
 Array = NDArray[np.float64]
 
+LOSS_SCALE = 0.4  # pixels beyond which a point counts for less
 STEP = 1e-3  # of a derivative
 PASSES = 3
 
@@ -44,7 +45,7 @@ class RadialDistortion:
         """
         reference, current = rays(self._camera, tracks.reference), rays(self._camera, tracks.current)
         rotation, direction = ref_T_cur.rotation(), ref_T_cur.translation() / np.linalg.norm(ref_T_cur.translation())
-        distance, by_motion = sampson(reference, current, rotation, direction, self._camera.fx)
+        distance, by_motion = epipolar_distance(reference, current, rotation, direction, self._camera.fx)
         essential = gtsam.SO3.Hat(direction) @ rotation.matrix()
         more, less = (_distance(reference, current, essential, k1) for k1 in (STEP, -STEP))
         by_k1 = self._camera.fx * (more - less) / (2 * STEP)
@@ -68,19 +69,18 @@ class RadialDistortion:
 
 
 def _distance(reference: Array, current: Array, essential: Array, k1: float) -> Array:
-    """Sampson distances (N,) of rays (N, 3), measured in the images as they are, at unit focal length."""
-    seen = reference[:, :2], current[:, :2]
-    shrink = [1 / (1 + k1 * (pixels**2).sum(axis=1, keepdims=True)) for pixels in seen]
+    """Distances (N,) of rays (N, 3) from their epipolar lines, in the current image as it is, at unit focal length."""
+    pixels = current[:, :2]
     straight = [
-        np.column_stack([factor * pixels, np.ones(len(pixels))]) for factor, pixels in zip(shrink, seen, strict=True)
+        np.column_stack([seen[:, :2] / (1 + k1 * (seen[:, :2] ** 2).sum(axis=1, keepdims=True)), np.ones(len(seen))])
+        for seen in (reference, current)
     ]
-    lines = straight[1] @ essential.T, straight[0] @ essential
-    square = np.zeros(len(reference))
-    for pixels, factor, line in zip(seen, shrink, lines, strict=True):
-        # The derivative of factor * pixels is factor - 2 k1 factor^2 pixels pixels^T.
-        across = (pixels * line[:, :2]).sum(axis=1, keepdims=True)
-        square += ((factor * line[:, :2] - 2 * k1 * factor**2 * across * pixels) ** 2).sum(axis=1)
-    return np.asarray((straight[0] * lines[0]).sum(axis=1) / np.sqrt(np.maximum(square, 1e-12)))
+    line = straight[0] @ essential
+    factor = 1 / (1 + k1 * (pixels**2).sum(axis=1, keepdims=True))
+    # The derivative of factor * pixels is factor - 2 k1 factor^2 pixels pixels^T.
+    across = (pixels * line[:, :2]).sum(axis=1, keepdims=True)
+    slope = factor * line[:, :2] - 2 * k1 * factor**2 * across * pixels
+    return np.asarray((straight[1] * line).sum(axis=1) / np.maximum(np.linalg.norm(slope, axis=1), 1e-9))
 
 
 def measure_distortion(sequence: Sequence) -> tuple[float, float]:

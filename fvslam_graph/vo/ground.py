@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Camera, Image
 from fvslam_graph.config import GroundSettings
 from fvslam_graph.vo.depth import InverseDepths, triangulate
-from fvslam_graph.vo.two_view import TwoView, rays, sampson
+from fvslam_graph.vo.two_view import TwoView, epipolar_distance, rays
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
 _WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car
@@ -33,7 +33,7 @@ class GroundPlane:
 
     Attributes:
         plane: (3,) p = n / d in the previous camera, d in baselines.
-        log_variance: Variance of log |p| from the patches themselves.
+        log_variance: Variance of log |p| from the patches themselves and from the motion between the views.
         patches: How many patches lie on it.
     """
 
@@ -157,12 +157,14 @@ class GroundAligner:
         good &= np.linalg.norm(found - start, axis=1) < _SEARCH
         in_current = np.column_stack([found[good] + offset, np.ones(good.sum())]) @ homography.T
         ray, ray_current = self._rays[good], rays(camera, in_current[:, :2] / in_current[:, 2:])
-        epipolar, _ = sampson(ray, ray_current, rotation, direction, camera.fx)
-        kept = np.abs(epipolar) < 1.0
+        epipolar, _ = epipolar_distance(ray, ray_current, rotation, direction, camera.fx)
+        kept = np.abs(epipolar) < 2**0.5
         if kept.sum() < self.settings.min_patches:
             return None
         ids = np.flatnonzero(good)[kept].astype(np.int64)
-        depths = triangulate(ids, ray[kept], ray_current[kept], rotation, direction, camera.fx)
+        depths = triangulate(
+            ids, ray[kept], ray_current[kept], rotation, direction, camera.fx, covariance=two_view.covariance
+        )
         return ray[kept], depths
 
     def _hypothesise(
@@ -197,7 +199,10 @@ class GroundAligner:
             plane = np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.values)
         patches = int((weight > 0.25).sum())
         along = plane / np.linalg.norm(plane)
-        log_variance = float(along @ np.linalg.solve(normal_matrix, along)) / float(plane @ plane)
+        # Of what the patches err on their own, and of what the motion makes them err together.
+        shared = np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.shared)
+        variance = float(along @ np.linalg.solve(normal_matrix, along)) + float(((along @ shared) ** 2).sum())
+        log_variance = variance / float(plane @ plane)
         if patches < self.settings.min_patches or plane @ self.normal <= 0:
             return None
         return GroundPlane(plane, log_variance, patches)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import gtsam
 import numpy as np
 import poselib
@@ -9,18 +11,19 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import VoSettings
-from fvslam_graph.vo.two_view import LOSS_SCALE, m_estimator_covariance, poselib_camera
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.features.tracks import Tracks
+from fvslam_graph.vo.depth import InverseDepths
+from fvslam_graph.vo.reprojection import ReprojectionErrors, reprojection_errors
+from fvslam_graph.vo.two_view import KERNEL, START_NOISE, WIDTHS, by_few, clustered, neighbourhoods, poselib_camera
+
+NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
+
+Array = NDArray[np.float64]
 
 
-def locate(
-    points: NDArray[np.float64],
-    pixels: NDArray[np.float64],
-    camera: Camera,
-    settings: VoSettings,
-    seed: int,
-    shared: NDArray[np.float64] | None = None,
-) -> tuple[gtsam.Pose3, NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Three-point RANSAC with local optimisation (PoseLib), refined on all inliers; None without a solution.
+def locate(points: Array, pixels: Array, camera: Camera, settings: VoSettings, seed: int) -> gtsam.Pose3 | None:
+    """ref_T_cur by three-point RANSAC with local optimisation (PoseLib); None without a solution.
 
     Args:
         points: (N, 3) in the reference camera, metres.
@@ -28,10 +31,6 @@ def locate(
         camera: Undistorted.
         settings: Thresholds.
         seed: Of the RANSAC.
-        shared: (N, 3, S) what each of S errors of deviation 1, which all points share, adds to them; none by itself.
-
-    Returns:
-        ref_T_cur, its covariance (6, 6) and (N,) bool which points agree.
     """
     if len(points) < settings.min_inliers:
         return None
@@ -41,48 +40,79 @@ def locate(
         "max_iterations": 20 * settings.ransac_iterations,
         "seed": seed,
     }
-    bundle = {"loss_type": "CAUCHY", "loss_scale": LOSS_SCALE}
+    bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE}
     pose, info = poselib.estimate_absolute_pose(pixels, points, poselib_camera(camera), ransac, bundle)
-    inliers = np.array(info["inliers"], bool)
-    if inliers.sum() < settings.min_inliers:
+    if sum(info["inliers"]) < settings.min_inliers:
         return None
-    residual, jacobian = reprojection(points[inliers] @ pose.R.T + pose.t, pixels[inliers], camera)
-    by_shared = None
-    if shared is not None:
-        by_seen = -jacobian[:, 3:].reshape(-1, 2, 3)
-        by_shared = (by_seen @ (pose.R @ shared[inliers])).reshape(len(residual), -1)
-    covariance = m_estimator_covariance(residual, jacobian, LOSS_SCALE, by_shared)
-    if covariance is None:
-        return None
-    return gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse(), covariance, inliers
+    return gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
 
 
-def reprojection(
-    seen: NDArray[np.float64], pixels: NDArray[np.float64], camera: Camera
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Reprojection errors and their Jacobian in the tangent of the camera's pose.
+@dataclass(frozen=True)
+class Located:
+    """A camera among points of known depth.
+
+    Attributes:
+        pose: ref_T_cur and its covariance.
+        agree: (N,) which tracks agree.
+        noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
+    """
+
+    pose: GaussianPose
+    agree: NDArray[np.bool_]
+    noise: float
+
+    @property
+    def direction_covariance(self) -> Array:
+        """(5, 5) of rotation and direction of travel, as in TwoView."""
+        metres, rotation = self.pose.mean.translation(), self.pose.mean.rotation().matrix()
+        length = float(np.linalg.norm(metres))
+        jacobian = np.zeros((5, 6))
+        jacobian[:3, :3] = np.eye(3)
+        jacobian[3:, 3:] = gtsam.Unit3(metres).basis().T @ rotation / length
+        covariance: Array = jacobian @ self.pose.covariance @ jacobian.T
+        return covariance
+
+
+def refine(
+    ref_T_cur: gtsam.Pose3, rays: Array, tracks: Tracks, depths: InverseDepths, camera: Camera
+) -> Located | None:
+    """The pose near another by all tracks, each counting for what its depth tells, however little that is.
+
+    Iteratively reweighted least squares (Cauchy); the covariance is that of the M-estimator, from residuals that may
+    be alike within a neighbourhood, and from what depths err together.
 
     Args:
-        seen: (N, 3) points in the camera, metres.
-        pixels: (N, 2) where they are observed.
-        camera: Undistorted.
+        ref_T_cur: To begin with, metres.
+        rays, tracks, depths, camera: As in `reprojection_errors`.
 
     Returns:
-        (2N,) pixels, predicted minus observed, and (2N, 6).
+        None where they do not determine it.
     """
-    x, y, z = seen.T
-    zero = np.zeros_like(x)
-    by_point = np.stack(
-        [
-            np.stack([camera.fx / z, zero, -camera.fx * x / z**2], axis=1),
-            np.stack([zero, camera.fy / z, -camera.fy * y / z**2], axis=1),
-        ],
-        axis=1,
-    )
-    # A pose perturbed by (w, v) on the right sees the point at p + [p]x w - v.
-    cross = np.stack(
-        [np.stack([zero, -z, y], axis=1), np.stack([z, zero, -x], axis=1), np.stack([-y, x, zero], axis=1)], axis=1
-    )
-    by_pose = np.concatenate([cross, np.broadcast_to(-np.eye(3), cross.shape)], axis=2)
-    jacobian = (by_point @ by_pose).reshape(-1, 6)
-    return (camera.project(seen) - pixels).ravel(), jacobian
+    noise = START_NOISE
+    for width in WIDTHS:
+        errors = reprojection_errors(ref_T_cur, rays, tracks, depths, camera, width * noise)
+        weight = _weights(errors)
+        jacobian = errors.by_pose.reshape(-1, 6)
+        weighted = np.repeat(weight, 2)[:, None] * jacobian
+        information = weighted.T @ jacobian
+        if not np.linalg.cond(information) < 1e14:
+            return None
+        ref_T_cur = ref_T_cur.retract(-np.linalg.solve(information, weighted.T @ errors.values.ravel()))
+        noise = float(np.clip(width * noise * errors.spread, *NOISE))
+    errors = reprojection_errors(ref_T_cur, rays, tracks, depths, camera, noise)
+    weighted = _weights(errors)[:, None, None] * errors.by_pose
+    each = (weighted * errors.values[:, :, None]).sum(axis=1)
+    scores = clustered(each, neighbourhoods(tracks.reference, camera))
+    curvature = np.einsum("nri,nrj->ij", weighted, errors.by_pose) - 2 / KERNEL**2 * each.T @ each
+    if len(scores) <= 6 or not np.linalg.eigvalsh(curvature)[0] > 0:
+        return None
+    inverse = np.linalg.inv(curvature)
+    pull = np.einsum("nri,nrs->is", weighted, errors.by_shared)
+    covariance = inverse @ (scores.T @ scores * by_few(len(scores), 6) + pull @ pull.T) @ inverse
+    return Located(GaussianPose(ref_T_cur, (covariance + covariance.T) / 2), errors.agree, noise)
+
+
+def _weights(errors: ReprojectionErrors) -> Array:
+    """(N,) of a Cauchy loss, and nothing for tracks that do not agree."""
+    weights: Array = errors.agree / (1 + errors.squares / KERNEL**2)
+    return weights

@@ -23,7 +23,7 @@ class ConstantVelocity:
     def __init__(self, settings: VoSettings) -> None:
         self.settings = settings
         self.twist = np.zeros(6)  # rad/s, m/s
-        self._log_variance = 0.0  # of the scale of the velocity
+        self.log_variance = 0.0  # of the scale of the velocity
         self._known = False  # whether it was ever measured
 
     def distance(self, seconds: float) -> LogScale | None:
@@ -32,12 +32,12 @@ class ConstantVelocity:
         if metres < 1e-3:
             return None
         sigma = 0.5 * self.settings.max_acceleration * seconds**2
-        return LogScale(math.log(metres), self._log_variance + (sigma / metres) ** 2)
+        return LogScale(math.log(metres), self.log_variance + (sigma / metres) ** 2)
 
     def observe(self, last_T_cur: gtsam.Pose3, seconds: float, log_variance: float) -> None:
         """Take over the velocity of a measured motion, whose scale has a variance."""
         self.twist = gtsam.Pose3.Logmap(last_T_cur) / seconds
-        self._log_variance = log_variance
+        self.log_variance = log_variance
         self._known = True
 
     def stop(self) -> None:

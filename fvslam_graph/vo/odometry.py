@@ -16,6 +16,7 @@ from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
+from fvslam_graph.features.texture import Texture
 from fvslam_graph.features.tracks import Association, Tracks
 from fvslam_graph.sequences.base import Frame, Ground
 from fvslam_graph.stopwatch import Stopwatch
@@ -23,7 +24,7 @@ from fvslam_graph.trajectory import Status
 from fvslam_graph.vo.depth import InverseDepths, triangulate
 from fvslam_graph.vo.estimate import VoEstimate, metric_pose
 from fvslam_graph.vo.ground import GroundAligner
-from fvslam_graph.vo.locate import locate
+from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import MetricMap, MetricScale
@@ -34,6 +35,7 @@ ROTATION_AMBIGUITY = 0.1
 ENOUGH = 2  # times the inliers needed: fewer tracks, and none is left apart
 PATIENCE = 3  # textured images in a row that do not fit the reference before it is given up
 GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
+GUESS = 1.0  # variance of the logarithm of such a distance
 UNKNOWN_DEPTH = 10.0  # and at how far away things are for one whose height is unknown, metres
 
 
@@ -136,23 +138,27 @@ class VisualOdometry:
         estimate = replace(self._accept(frame, motion), found=len(tracks), parallax=parallax)
 
         far = motion.scale is not None and parallax > self.settings.keyframe_parallax
-        if far or len(motion.tracks) < self.settings.keyframe_tracks * self._points:
+        if far or self._is_worn_out(motion.tracks):
             self._refer_to(frame, motion.tracks, estimate.map)
+        elif not len(self._map):
+            self._map = motion.map  # in whose scale motions from this reference go on
         return estimate
 
     def _measure(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
         """Two views where they tell most, else the map, else what is left; None where nothing fits."""
         far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
-        # A reference that is about to be given up, or has no map yet, is triangulated while it can be.
-        last_chance = len(tracks) < self.settings.keyframe_tracks * self._points or not len(self._map)
-        two_views_first = far or (some and last_chance)
-        if two_views_first and (motion := self._move_by_two_views(frame, tracks)):
+        located = self._locate(tracks)
+        if not far and located is not None and (motion := self._move_in_map(tracks, located)):
             return motion
-        if motion := self._move_in_map(tracks):
+        if some and (motion := self._move_by_two_views(frame, tracks, located)):
             return motion
-        if some and not two_views_first and (motion := self._move_by_two_views(frame, tracks)):
-            return motion
+        if far and located is not None:
+            return self._move_in_map(tracks, located)
         return None if far else self._turn(tracks, rotation, parallax)
+
+    def _is_worn_out(self, tracks: Tracks) -> bool:
+        """Whether so few of the reference's points are left that another frame is to become the reference."""
+        return len(tracks) < self.settings.keyframe_tracks * self._points
 
     def _used(self, tracks: Tracks) -> NDArray[np.bool_]:
         """(N,) which tracks tell the motion."""
@@ -181,12 +187,15 @@ class VisualOdometry:
         estimate = self._estimate(frame, self._ref_T_last.compose(step), Status.STATIC)
         return replace(estimate, found=len(tracks), tracks=tracks)
 
-    def _move_by_two_views(self, frame: Frame, tracks: Tracks) -> _Motion | None:
+    def _move_by_two_views(self, frame: Frame, tracks: Tracks, located: gtsam.Pose3 | None) -> _Motion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
         assert self._reference is not None
         with self._stopwatch.stage("pose"):
-            expected, used = self._predict(frame).mean, self._used(tracks)
-            two_view = estimate_two_view(tracks[used], self.camera, self.settings, self._seed(), expected)
+            used = self._used(tracks)
+            expected = [pose for pose in (located, self._predict(frame).mean) if pose is not None]
+            two_view = estimate_two_view(
+                tracks[used], self.camera, self.settings, self._seed(), expected, self._map.depths
+            )
         if two_view is None:
             return None
         inliers = ~used
@@ -204,32 +213,53 @@ class VisualOdometry:
                 self.camera.fx,
                 two_view.noise,
                 two_view.covariance,
+                tracks.covariances,
             )
-            guesses = [self._guess(unit), self._motion_model.distance(frame.stamp - self._reference.stamp)]
-            fallback = min(filter(None, guesses), key=lambda guess: guess.variance)
+            fallback = self._motion_model.distance(frame.stamp - self._reference.stamp)
+            if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
+                fallback = self._guess(unit)
             scale, known = self._scale.estimate(
                 self._reference, frame, two_view, previous, unit, self._map, fallback, self._rng
             )
         return _Motion(metric_pose(two_view, scale.length), tracks, known, scale)
 
-    def _move_in_map(self, tracks: Tracks) -> _Motion | None:
-        """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
+    def _locate(self, tracks: Tracks) -> gtsam.Pose3 | None:
+        """Roughly where the camera is among the points of known depth."""
         mine, theirs = self._map.depths.common(tracks.ids)
         used = self._used(tracks)[theirs]
-        mine, theirs = mine[used], theirs[used]
-        depths = self._map.depths[mine]
-        points = rays(self.camera, tracks.reference[theirs]) / depths.values[:, None]
-        shared = -points[:, :, None] * (depths.shared / depths.values[:, None])[:, None]
+        depths, known = self._map.depths[mine[used]], tracks[theirs[used]]
+        points = rays(self.camera, known.reference) / depths.values[:, None]
         with self._stopwatch.stage("pose"):
-            located = locate(points, tracks.current[theirs], self.camera, self.settings, self._seed(), shared)
-        if located is None:
+            return locate(points, known.current, self.camera, self.settings, self._seed())
+
+    def _move_in_map(self, tracks: Tracks, located: gtsam.Pose3) -> _Motion | None:
+        """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
+        used = self._used(tracks)
+        with self._stopwatch.stage("pose"):
+            seen = rays(self.camera, tracks.reference)
+            depths = self._map.depths.of(tracks.ids)
+            refined = refine(located, seen[used], tracks[used], depths[used], self.camera)
+        if refined is None or refined.agree.sum() < self.settings.min_inliers:
             return None
-        ref_T_cur, covariance, inliers = located
-        kept = np.ones(len(tracks), bool)
-        kept[theirs[~inliers]] = False
+        kept = ~used
+        kept[used] = refined.agree
+        tracks, known = tracks[kept], self._map
+        if self._is_worn_out(tracks):  # what is left of the reference is triangulated while it can be
+            new = tracks[~np.isin(tracks.ids, known.depths.ids)]
+            unit = triangulate(
+                new.ids,
+                rays(self.camera, new.reference),
+                rays(self.camera, new.current),
+                refined.pose.mean.rotation(),
+                refined.pose.mean.translation(),
+                self.camera.fx,
+                refined.noise,
+                refined.direction_covariance,
+                new.covariances,
+            )
+            known = MetricMap(known.depths.fused(unit[unit.values > 0]), known.variance)
         # The map's scale is uncertain, and the distance travelled in it likewise.
-        motion = GaussianPose(ref_T_cur, covariance).with_scale_variance(self._map.variance)
-        return _Motion(motion, tracks[kept], self._map)
+        return _Motion(refined.pose.with_scale_variance(known.variance), tracks, known)
 
     def _turn(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion:
         """Rotation alone; both it and the translation are as uncertain as the parallax that may hide in it."""
@@ -255,7 +285,8 @@ class VisualOdometry:
     def _lose(self, frame: Frame) -> VoEstimate:
         """The image does not fit the reference: a bad image is passed over, a changed scene becomes the reference."""
         assert frame.image is not None
-        if len(detect(frame.image, self._features)) < self.settings.min_inliers:
+        texture = Texture.of(frame.image, self._features.octave)
+        if len(detect(texture, self._features)) < self.settings.min_inliers:
             return self._coast(frame, Status.COASTED)
         self._failures += 1
         if self._failures < PATIENCE and self._points >= self.settings.min_inliers:
@@ -287,7 +318,7 @@ class VisualOdometry:
     def _guess(self, unit: InverseDepths) -> LogScale:
         """The scale at which triangulated points are as far away as things usually are."""
         seen = unit.values[unit.values > 0]
-        return LogScale(math.log(self._typical_depth() * float(np.median(seen))) if len(seen) else 0.0, 1.0)
+        return LogScale(math.log(self._typical_depth() * float(np.median(seen))) if len(seen) else 0.0, GUESS)
 
     def _typical_depth(self) -> float:
         """Metres to what is seen."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -12,12 +13,18 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import VoSettings
 from fvslam_graph.features.tracks import Tracks
+from fvslam_graph.vo.depth import InverseDepths, triangulate
 
-SURPRISE = 0.01  # rad between expected and found rotation
-ALIKE = 1.1  # costs within this factor do not tell two solutions apart
-LOSS_SCALE = 0.3  # pixels; residuals well above the tracking noise lose weight (Cauchy)
-# Deviation of a displacement by the median Sampson distance: of noise in one image, a distance over both has sqrt(1/2).
-BY_MEDIAN = 2**0.5 / 0.6745
+KERNEL = 2.0  # deviations beyond which a match counts for less (Cauchy)
+START_NOISE = 0.2  # pixels, of a track along each axis, until residuals tell it,
+LEAST_NOISE = 0.05  # and what they can tell at least
+WIDTHS = (8, 4, 2, 1, 1, 1)  # limits within which tracks agree, by iteration: from a rough start, few do
+CLEARLY = 4.0  # deviations beyond which a match does not count
+LONGEST = 0.1  # rad, step of the refinement
+CELLS = (8, 6)  # of the image, within which tracks are taken to err alike: blur, rolling shutter, calibration
+ENOUGH_CORNERS = 20  # for edges not to tell how corners err
+SCALE_ITERATIONS = 3
+BEHIND = 5.0  # deviations that a depth behind the camera counts for
 
 Rays = NDArray[np.float64]
 
@@ -32,7 +39,7 @@ class TwoView:
         covariance: (5, 5) in the tangent of gtsam.EssentialMatrix(rotation, Unit3(direction)): rotation, then
             direction in the plane of gtsam.Unit3.basis; radians.
         inliers: (N,) bool, which of the tracks agree.
-        noise: Pixels, standard deviation of a track's displacement along each axis, by these.
+        noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
     """
 
     rotation: gtsam.Rot3
@@ -49,15 +56,30 @@ def rays(camera: Camera, pixels: NDArray[np.float64]) -> Rays:
 
 
 def estimate_two_view(
-    tracks: Tracks, camera: Camera, settings: VoSettings, seed: int, expected: gtsam.Pose3 | None = None
+    tracks: Tracks,
+    camera: Camera,
+    settings: VoSettings,
+    seed: int,
+    expected: Sequence[gtsam.Pose3] = (),
+    known: InverseDepths | None = None,
 ) -> TwoView | None:
-    """Five-point RANSAC with local optimisation (PoseLib), refined on all inliers; None without a solution.
+    """The relative pose that explains best how points move, and what is known of their depths; None without one.
 
-    Points on a plane have two solutions that explain them alike. So the expected motion prev_T_cur is refined as well,
-    and taken where it explains the inliers as well as the best one.
+    Points on a plane have two solutions that explain two views alike, and noise often prefers the wrong one. So what
+    five-point RANSAC finds (PoseLib) is set against the motions that are expected, all refined, and each has to
+    account for the depths that it triangulates as well.
+
+    Args:
+        tracks: N matches.
+        camera: Undistorted.
+        settings: Thresholds.
+        seed: Of the RANSAC.
+        expected: Motions prev_T_cur.
+        known: Depths of some of the tracks in the previous camera. They choose among the solutions and are no part of
+            the chosen one, so that its error has nothing to do with theirs.
 
     Source: Nister 2004 (five points); Larsson et al., PoseLib (LO-RANSAC); covariance of an M-estimator after Huber,
-    Robust Statistics, section 6.3.
+    Robust Statistics, section 6.3, with clusters after Liang and Zeger 1986.
     """
     if len(tracks) < settings.min_inliers:
         return None
@@ -68,51 +90,131 @@ def estimate_two_view(
         "max_iterations": 20 * settings.ransac_iterations,
         "seed": seed,
     }
-    bundle = {"loss_type": "CAUCHY", "loss_scale": LOSS_SCALE}
-    pose, info = poselib.estimate_relative_pose(tracks.reference, tracks.current, model, model, ransac, bundle)
-    inliers = np.array(info["inliers"], bool)
+    bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE}
+    pose, _ = poselib.estimate_relative_pose(tracks.reference, tracks.current, model, model, ransac, bundle)
+    found = gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
+    matches = _Matches(tracks, rays(camera, tracks.reference), rays(camera, tracks.current), camera.fx, known)
+    limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
+    starts = [start for start in (found, *expected) if np.linalg.norm(start.translation()) > 0]
+    fits = [_refine(start, matches, limit) for start in starts]
+    noise = min((fit.noise for fit in fits), default=START_NOISE)
+    best = min(fits, key=lambda fit: fit.cost(matches, noise), default=None)
+    if best is None:
+        return None
+    inliers = (np.abs(best.distance) < limit) & matches.ahead(best.rotation, best.direction, limit)
     if inliers.sum() < max(settings.min_inliers, settings.min_inlier_share * len(tracks)):
         return None
-    agreeing = tracks[inliers]
-    previous, current = rays(camera, agreeing.reference), rays(camera, agreeing.current)
-    solution = _fit(pose, previous, current, camera)
-    if expected is not None and _disagree(solution, expected):
-        start = poselib.CameraPose()
-        start.R, start.t = expected.rotation().matrix().T, expected.inverse().translation()
-        pose, _ = poselib.refine_relative_pose(agreeing.reference, agreeing.current, start, model, model, bundle)
-        alternative = _fit(pose, previous, current, camera)
-        if alternative.cost < ALIKE * solution.cost:
-            solution = alternative
-    covariance = m_estimator_covariance(solution.distance, solution.jacobian, LOSS_SCALE)
+    told = inliers & (np.abs(best.distance) < CLEARLY * best.noise)
+    cells = neighbourhoods(tracks.reference[told], camera)
+    covariance = m_estimator_covariance(best.distance[told], best.jacobian[told], KERNEL * best.noise, cells)
     if covariance is None:
         return None
-    noise = BY_MEDIAN * float(np.median(np.abs(solution.distance)))
-    return TwoView(solution.rotation, solution.direction, covariance, inliers, noise)
+    return TwoView(best.rotation, best.direction, covariance, inliers, best.noise)
 
 
-def _disagree(solution: _Fit, expected: gtsam.Pose3) -> bool:
-    """Whether the solution turned otherwise than expected, as the second solution of a plane does."""
-    moving = np.linalg.norm(expected.translation()) > 0
-    turned = gtsam.Rot3.Logmap(expected.rotation().between(solution.rotation))
-    return bool(moving and np.linalg.norm(turned) > SURPRISE)
+@dataclass(frozen=True)
+class _Matches:
+    """N tracks, their rays (N, 3) in both views, and known depths of some in the previous one."""
+
+    tracks: Tracks
+    previous: Rays
+    current: Rays
+    focal: float
+    known: InverseDepths | None
+
+    def distance(
+        self, rotation: gtsam.Rot3, direction: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Of the current points from their epipolar lines."""
+        return epipolar_distance(self.previous, self.current, rotation, direction, self.focal, self.tracks.covariances)
+
+    def ahead(self, rotation: gtsam.Rot3, direction: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
+        """(N,) which points are not seen behind the camera by more than a limit in the current image, pixels.
+
+        A wrong match on the other side of the epipole lies on its line by chance, and has a long lever there.
+        """
+        endless = self.previous @ rotation.matrix()
+        endless = endless[:, :2] / np.maximum(endless[:, 2:], 1e-3)  # where a point would be at any distance
+        step = rotation.unrotate(direction)
+        nearer = endless * step[2] - step[:2]  # whereto it goes if it is nearer
+        moved = ((self.current[:, :2] - endless) * nearer).sum(axis=1) / np.maximum(
+            np.linalg.norm(nearer, axis=1), 1e-9
+        )
+        return np.asarray(self.focal * moved > -limit)
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """A relative pose and how well it explains the inliers: Sampson distances, their Jacobian and Cauchy cost."""
+    """A relative pose and how well it explains the tracks: epipolar distances, their Jacobian, the noise they show."""
 
     rotation: gtsam.Rot3
     direction: NDArray[np.float64]
     distance: NDArray[np.float64]
     jacobian: NDArray[np.float64]
-    cost: float
+    noise: float
+
+    def cost(self, matches: _Matches, noise: float) -> float:
+        """Cauchy cost of the epipolar distances, and of how the depths depart from those known, up to their scale."""
+        cost = float(np.log1p((self.distance / (KERNEL * noise)) ** 2).sum())
+        if matches.known is None:
+            return cost
+        tracks, known = matches.tracks, matches.known
+        depths = triangulate(
+            tracks.ids,
+            matches.previous,
+            matches.current,
+            self.rotation,
+            self.direction,
+            matches.focal,
+            noise,
+            covariances=tracks.covariances,
+        )
+        mine, theirs = depths.common(known.ids)
+        values, variance = depths.values[mine], depths.sigmas[mine] ** 2
+        reference, doubt = known.values[theirs], known.total_sigmas[theirs] ** 2
+        ahead = values > 0
+        if not ahead.any():
+            return cost + len(mine) * float(np.log1p((BEHIND / KERNEL) ** 2))
+        scale = float(np.exp(np.median(np.log(values[ahead] / reference[ahead]))))
+        for _ in range(SCALE_ITERATIONS):
+            total = variance + scale**2 * doubt
+            square = (values - scale * reference) ** 2 / total
+            weight = 1 / total / (1 + square / KERNEL**2)
+            scale = float((weight * values * reference).sum() / (weight * reference**2).sum())
+        return cost + float(np.log1p(square / KERNEL**2).sum())
 
 
-def _fit(pose: poselib.CameraPose, previous: Rays, current: Rays, camera: Camera) -> _Fit:
-    rotation, direction = gtsam.Rot3(pose.R.T), -pose.R.T @ pose.t
-    direction /= np.linalg.norm(direction)
-    distance, jacobian = sampson(previous, current, rotation, direction, camera.fx)
-    return _Fit(rotation, direction, distance, jacobian, float(np.log1p((distance / LOSS_SCALE) ** 2).sum()))
+def _refine(start: gtsam.Pose3, matches: _Matches, limit: float) -> _Fit:
+    """The relative pose near another by the tracks that agree with it (iteratively reweighted least squares)."""
+    rotation = start.rotation()
+    direction = start.translation() / np.linalg.norm(start.translation())
+    covariances = matches.tracks.covariances
+    for width in WIDTHS:
+        distance, jacobian = matches.distance(rotation, direction)
+        noise = width * _noise(distance, covariances, limit)
+        within = min(width * limit, CLEARLY * noise)
+        agree = (np.abs(distance) < within) & matches.ahead(rotation, direction, width * limit)
+        weight = agree / (1 + (distance / (KERNEL * noise)) ** 2)
+        weighted = weight[:, None] * jacobian
+        information = weighted.T @ jacobian
+        information[np.diag_indices(5)] += 1e-9 * np.trace(information) + 1e-12  # fewer than five may agree
+        step = -np.linalg.solve(information, weighted.T @ distance)
+        step *= min(1.0, LONGEST / max(float(np.linalg.norm(step)), 1e-12))
+        rotation = rotation.retract(step[:3])
+        direction = gtsam.Unit3(direction).retract(step[3:]).point3()
+    distance, jacobian = matches.distance(rotation, direction)
+    return _Fit(rotation, direction, distance, jacobian, _noise(distance, covariances, limit))
+
+
+def _noise(distance: NDArray[np.float64], covariances: NDArray[np.float64], limit: float) -> float:
+    """Pixels by which corners err along each axis, from the distances (N,) of tracks that agree.
+
+    Without edges, if there are enough others: their large variances are no measure of what they err.
+    """
+    agree = np.abs(distance) < limit
+    corner = agree & (covariances.trace(axis1=1, axis2=2) < 3)
+    errors = np.abs(distance[corner if corner.sum() > ENOUGH_CORNERS else agree])
+    return max(float(np.median(errors)) / 0.6745, LEAST_NOISE) if len(errors) else limit
 
 
 def poselib_camera(camera: Camera) -> dict[str, object]:
@@ -121,31 +223,81 @@ def poselib_camera(camera: Camera) -> dict[str, object]:
     return {"model": "PINHOLE", "width": camera.width, "height": camera.height, "params": parameters}
 
 
-def sampson(
-    previous: Rays, current: Rays, rotation: gtsam.Rot3, direction: NDArray[np.float64], focal: float
+def epipolar_distance(
+    previous: Rays,
+    current: Rays,
+    rotation: gtsam.Rot3,
+    direction: NDArray[np.float64],
+    focal: float,
+    covariances: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sampson distances (N,), pixels, and their Jacobian (N, 5) in the tangent of TwoView.
+    """How far current points are from the epipolar lines of the previous ones, (N,), and its Jacobian (N, 5).
 
-    The weight of the distance is held fixed in the Jacobian, as in Gauss-Newton: exact where the distance is zero.
-    Source: Hartley and Zisserman, Multiple View Geometry, eq. 11.9.
+    A tracker errs about the displacement from the previous image, so the distance is measured in the current one.
+
+    Args:
+        previous, current: (N, 3) rays, z = 1.
+        rotation: prev_R_cur.
+        direction: (3,) unit vector in the previous camera, from there to the current one.
+        focal: Pixels.
+        covariances: (N, 2, 2) as of Tracks; with them, a distance is as long as if it were a corner's.
+
+    Returns:
+        Pixels, and in the tangent of TwoView.
     """
-    rotated = current @ rotation.matrix().T
-    essential = gtsam.SO3.Hat(direction) @ rotation.matrix()
-    line_previous = current @ essential.T  # E x_cur
-    line_current = previous @ essential  # E^T x_prev
-    steepness = (line_previous[:, :2] ** 2).sum(axis=1) + (line_current[:, :2] ** 2).sum(axis=1)
-    weight = focal / np.sqrt(np.maximum(steepness, 1e-12))  # both points on an epipole have no epipolar line
-    distance = weight * (previous * line_previous).sum(axis=1)
-    by_rotation = np.cross(current, line_current)
-    by_direction = np.cross(rotated, previous) @ gtsam.Unit3(direction).basis()
-    return distance, weight[:, None] * np.hstack([by_rotation, by_direction])
+    R = rotation.matrix()
+    line = cross(previous, direction) @ R
+    length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)  # a point on the epipole has no line
+    normal = line[:, :2] / length[:, None]
+    distance = (line * current).sum(axis=1) / length
+    foot = current.copy()  # of the perpendicular: seen from there, it does not matter how the normal turns
+    foot[:, :2] -= distance[:, None] * normal
+    weight: NDArray[np.float64] = focal / length
+    if covariances is not None:
+        weight = weight / np.sqrt((normal * (covariances @ normal[:, :, None])[:, :, 0]).sum(axis=1))
+    by_direction = cross(foot @ R.T, previous) @ gtsam.Unit3(direction).basis()
+    return distance * length * weight, weight[:, None] * np.hstack([cross(foot, line), by_direction])
+
+
+def cross(a: Rays, b: NDArray[np.float64]) -> Rays:
+    """Cross products of vectors (N, 3) with others, or with one: np.cross takes several times as long."""
+    x, y, z = b.T
+    return np.stack([a[:, 1] * z - a[:, 2] * y, a[:, 2] * x - a[:, 0] * z, a[:, 0] * y - a[:, 1] * x], axis=1)
+
+
+def neighbourhoods(pixels: NDArray[np.float64], camera: Camera) -> NDArray[np.intp]:
+    """Numbers (N,) of the cells of the image that points (N, 2) lie in."""
+    cells = (pixels * np.divide(CELLS, (camera.width, camera.height))).astype(np.intp).clip(0, np.subtract(CELLS, 1))
+    return np.asarray(cells[:, 1] * CELLS[0] + cells[:, 0])
+
+
+def clustered(scores: NDArray[np.float64], clusters: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Scores (N, P) of residuals summed over each of C clusters, (C, P)."""
+    member = np.zeros((int(clusters.max(initial=0)) + 1, len(scores)))
+    member[clusters, np.arange(len(scores))] = 1.0
+    return member[member.any(axis=1)] @ scores
+
+
+def by_few(count: int, parameters: int) -> float:
+    """How much larger a covariance of so many parameters must be that is told by so few groups of residuals.
+
+    These are smaller than errors, since they were minimised; and a sum of so few squares is now and then too small by
+    far (Hotelling 1931).
+    """
+    return count / (count - parameters) * (count - 1) / max(count - parameters - 2, 1)
+
+
+def cauchy_curvature(residual: NDArray[np.float64]) -> float:
+    """Mean second derivative of a Cauchy loss of scale 1 by the mean of the weights that it gives residuals (N,)."""
+    weight = 1 / (1 + residual**2)
+    return float((weight * (1 - residual**2) * weight).sum() / max(weight.sum(), 1e-12))
 
 
 def m_estimator_covariance(
     residual: NDArray[np.float64],
     jacobian: NDArray[np.float64],
     loss_scale: float,
-    shared: NDArray[np.float64] | None = None,
+    clusters: NDArray[np.intp],
 ) -> NDArray[np.float64] | None:
     """Covariance of a Cauchy M-estimate from the residuals themselves, so that no noise level is assumed.
 
@@ -153,23 +305,20 @@ def m_estimator_covariance(
         residual: (N,) at the estimate.
         jacobian: (N, P) of the residuals.
         loss_scale: Of the Cauchy loss, in the residuals' unit.
-        shared: (N, S) what each of S errors of deviation 1 adds to all residuals together.
+        clusters: (N,) numbers of groups of residuals, which are independent of other groups and need not be within.
 
     Returns:
         (P, P); None where the residuals do not determine the parameters.
     """
-    count, parameters = jacobian.shape
+    parameters = jacobian.shape[1]
     square = (residual / loss_scale) ** 2
-    influence = residual / (1 + square)
     curvature = (1 - square) / (1 + square) ** 2
     bread = jacobian.T @ (curvature[:, None] * jacobian)
     values = np.linalg.eigvalsh(bread)
+    scores = clustered((residual / (1 + square))[:, None] * jacobian, clusters)
+    count = len(scores)
     if count <= parameters or not values[0] > 1e-12 * values[-1]:
         return None
     inverse = np.linalg.inv(bread)
-    meat = jacobian.T @ (influence[:, None] ** 2 * jacobian) * (count / (count - parameters))
-    if shared is not None:
-        pull = jacobian.T @ (curvature[:, None] * shared)
-        meat += pull @ pull.T
-    covariance: NDArray[np.float64] = inverse @ meat @ inverse
+    covariance: NDArray[np.float64] = inverse @ (scores.T @ scores) @ inverse * by_few(count, parameters)
     return (covariance + covariance.T) / 2

@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 
 from fvslam_graph.config import FeatureSettings
-from fvslam_graph.features.detection import BORDER, PER_CELL, detect
+from fvslam_graph.features.detection import BORDER, PER_CELL
+from fvslam_graph.features.detection import detect as detect_in
+from fvslam_graph.features.texture import Texture
 
 SIZES = pytest.mark.parametrize(("count", "octave"), [(100, 0), (400, 0), (100, 1), (400, 1), (400, 2)])
+
+
+def detect(image, settings, taken=None):
+    return detect_in(Texture.of(image, settings.octave), settings, taken)
 
 
 def per_cell(points: np.ndarray, shape: tuple[int, ...], count: int) -> np.ndarray:

@@ -45,8 +45,38 @@ def two_views(camera: Camera) -> Callable[..., Scene]:
         path = Trajectory(np.array([0.0, 1.0]), (gtsam.Pose3(), prev_T_cur))
         scene = simulate(path, camera, within(near, far), landmarks=landmarks, **options)
         matches = scene.match(0, 1)
-        tracks = Tracks(matches.ids, matches.pixels_a, matches.pixels_b)
+        tracks = Tracks.alike(matches.ids, matches.pixels_a, matches.pixels_b)
         return Scene(tracks, scene.in_camera(0)[matches.ids], matches.is_outlier)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def plane_scene(camera: Camera) -> Callable[[int], tuple[Scene, gtsam.Pose3, gtsam.Pose3]]:
+    """Makes points of a plane, the motion by which they are seen twice, and the other one that explains it."""
+
+    def make(seed: int) -> tuple[Scene, gtsam.Pose3, gtsam.Pose3]:
+        rng = np.random.default_rng(seed)
+        pixels = rng.uniform((8, 8), (camera.width - 9, camera.height - 9), (200, 2))
+        ray = np.column_stack([camera.normalize(pixels), np.ones(len(pixels))])
+        normal = np.array([0.1, -0.3, 1.0]) / np.linalg.norm([0.1, -0.3, 1.0])
+        points = ray / (ray @ normal)[:, None]
+        motion = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.01, 0.03])), np.array([0.06, 0.02, 0.01]))
+        current = camera.project(motion.transformTo(points.T).T) + 0.15 * rng.standard_normal((200, 2))
+        H = (
+            camera.K
+            @ motion.inverse().rotation().matrix()
+            @ (np.eye(3) - np.outer(motion.translation(), normal))
+            @ np.linalg.inv(camera.K)
+        )
+        _, rotations, translations, normals = cv2.decomposeHomographyMat(H, camera.K)
+        others = [
+            gtsam.Pose3(gtsam.Rot3(R), t.ravel()).inverse()
+            for R, t, n in zip(rotations, translations, normals, strict=True)
+            if n[2] > 0 and np.linalg.norm(R - motion.rotation().matrix().T) > 1e-3
+        ]
+        tracks = Tracks.alike(np.arange(200), pixels, current)
+        return Scene(tracks, points, np.zeros(200, bool)), motion, others[0]
 
     return make
 

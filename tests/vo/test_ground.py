@@ -25,7 +25,9 @@ class View(NamedTuple):
     @property
     def two_view(self) -> TwoView:
         baseline = self.motion.translation()
-        return TwoView(self.motion.rotation(), baseline / np.linalg.norm(baseline), np.eye(5), np.ones(1, bool), 0.3)
+        return TwoView(
+            self.motion.rotation(), baseline / np.linalg.norm(baseline), 1e-10 * np.eye(5), np.ones(1, bool), 0.3
+        )
 
     @property
     def baseline_per_height(self) -> float:

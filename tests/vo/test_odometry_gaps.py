@@ -10,6 +10,7 @@ import pytest
 from fvslam_graph.config import load_config
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.features.detection import detect
+from fvslam_graph.features.texture import Texture
 from fvslam_graph.trajectory import Status
 from fvslam_graph.vo.odometry import PATIENCE
 
@@ -79,7 +80,7 @@ def test_a_flash_does_not_end_the_reference(flight):
     """Two images of something else, with plenty of corners, are passed over."""
     rng = np.random.default_rng(0)
     else_where = cv2.GaussianBlur(rng.integers(0, 256, (240, 320)).astype(np.uint8), (0, 0), 0.8)
-    assert len(detect(else_where, load_config().features)) > 100
+    assert len(detect(Texture.of(else_where, 1), load_config().features)) > 100
     estimates = flight.run({10: else_where, 11: else_where})
     assert statuses(estimates[10:13]) == [Status.COASTED, Status.COASTED, Status.TRACKED]
     assert np.linalg.norm(flight.errors(estimates[12:])[:, 3:], axis=1).max() < 0.1  # measured 0.022 m

@@ -1,0 +1,115 @@
+"""Reprojection errors of tracks whose depths are known well, roughly or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera
+from fvslam_graph.features.tracks import Tracks
+from fvslam_graph.vo.depth import InverseDepths
+
+NEAREST = 0.05  # times as far away as in the reference: nearer than that, nothing is followed
+
+AGREES = 4.0  # standard deviations, at most, of a track that agrees
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ReprojectionErrors:
+    """Errors of N tracks in standard deviations: across the epipolar line, and then what the depth says along it.
+
+    Attributes:
+        values: (N, 2).
+        by_pose: (N, 2, 6) in the tangent of ref_T_cur.
+        by_shared: (N, 2, S) what each of the errors that depths share adds to them.
+        sharp: (N,) whether the texture tells much across the line.
+        ahead: (N,) whether the point is seen before the camera, apart from noise.
+    """
+
+    values: Array
+    by_pose: Array
+    by_shared: Array
+    sharp: NDArray[np.bool_]
+    ahead: NDArray[np.bool_]
+
+    @property
+    def squares(self) -> Array:
+        """(N,) squared lengths."""
+        squares: Array = (self.values**2).sum(axis=1)
+        return squares
+
+    @property
+    def agree(self) -> NDArray[np.bool_]:
+        """(N,) whether a track agrees with the pose."""
+        return self.ahead & (self.squares < AGREES**2)
+
+    @property
+    def spread(self) -> float:
+        """Robust standard deviation across the lines where texture tells it, of those that agree; 1 if all is right."""
+        agree = self.agree
+        across = np.abs(self.values[self.sharp & agree if np.any(self.sharp & agree) else agree, 0])
+        return float(np.median(across)) / 0.6745 if len(across) else 1.0
+
+
+def reprojection_errors(
+    ref_T_cur: gtsam.Pose3, rays: Array, tracks: Tracks, depths: InverseDepths, camera: Camera, noise: float
+) -> ReprojectionErrors:
+    """Reprojection errors with depths marginalised, each linearised where the point most likely is.
+
+    An error across the epipolar line counts at any depth. How far along it the point is seen tells as much as its
+    depth is known; a point of unknown depth tells what it tells in two views.
+
+    Args:
+        ref_T_cur: Metres.
+        rays: (N, 3) of the tracks in the reference, z = 1.
+        tracks: N.
+        depths: (N,) theirs, in the reference; unknown ones have an infinite sigma.
+        camera: Undistorted.
+        noise: Pixels, of a corner's displacement along each axis.
+    """
+    R, t = ref_T_cur.rotation().matrix(), ref_T_cur.translation()
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    turned, step = rays @ R, t @ R
+
+    def project(values: Array) -> tuple[Array, Array, Array, Array]:
+        """Normalised coordinates, nearness, error in the image and its derivative along the line."""
+        seen = turned - values[:, None] * step
+        z = np.maximum(seen[:, 2], NEAREST)
+        xy = seen[:, :2] / z[:, None]
+        return xy, values / z, focal * xy + centre - tracks.current, focal * (xy * step[2] - step[:2]) / z[:, None]
+
+    variance = depths.total_sigmas**2
+    _, _, error, line = project(depths.values)
+    square = np.maximum((line**2).sum(axis=1), 1e-12)
+    share = 1 / (1 + noise**2 / np.maximum(variance * square, 1e-300))  # of the way to where the image has the point
+    likeliest = depths.values - share * (error * line).sum(axis=1) / square
+    xy, near, error, line = project(likeliest)
+    error = error + line * (depths.values - likeliest)[:, None]
+
+    x, y = xy.T
+    zero = np.zeros_like(x)
+    by_pose = np.empty((len(x), 2, 6))  # a pose perturbed by (w, v) on the right sees the point at p + [p]x w - v
+    by_pose[:, 0] = camera.fx * np.stack([x * y, -(1 + x * x), y, -near, zero, near * x], axis=1)
+    by_pose[:, 1] = camera.fy * np.stack([1 + y * y, -x * y, -x, zero, -near, near * y], axis=1)
+
+    speed = np.linalg.norm(line, axis=1)
+    along = np.where(speed[:, None] > 1e-6, line, [1.0, 0.0]) / np.where(speed > 1e-6, speed, 1.0)[:, None]
+    axes = np.stack([np.stack([-along[:, 1], along[:, 0]], axis=1), along], axis=1)
+    spread = axes @ tracks.covariances @ axes.mT
+    # Across, and along given that; a variance of the depth comes to the latter alone.
+    given = spread[:, 0, 1] / spread[:, 0, 0]
+    sigma = np.sqrt(noise**2 * (spread[:, 1, 1] - given * spread[:, 0, 1]) + np.minimum(variance * speed**2, 1e12))
+    white = np.zeros((len(x), 2, 2))
+    white[:, 0, 0] = 1 / (noise * np.sqrt(spread[:, 0, 0]))
+    white[:, 1, 0], white[:, 1, 1] = -given / sigma, 1 / sigma
+    white = white @ axes
+    by_shared = np.zeros((len(x), 2, depths.shared.shape[1]))
+    by_shared[:, 1] = (speed / sigma)[:, None] * depths.shared
+    values = (white @ error[:, :, None])[:, :, 0]
+    ahead = likeliest * speed > -AGREES * noise
+    return ReprojectionErrors(values, white @ by_pose, by_shared, spread[:, 0, 0] < 2, ahead)
