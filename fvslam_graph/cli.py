@@ -333,3 +333,8 @@ def main() -> None:
     except FvslamError as error:
         typer.echo(f"fvslam: {' '.join(str(error).split())}", err=True)
         sys.exit(1)
+    except ImportError as error:
+        # Ctrl-C while a library is loaded comes as this, if it is a library in C++.
+        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            sys.exit(130)
+        raise

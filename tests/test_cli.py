@@ -135,6 +135,16 @@ def test_a_signal_interrupts(drive, tmp_path, monkeypatch, fvslam, stop):
     assert (read_run(tmp_path / "run").info["status"], len(read_run(tmp_path / "run").online)) == ("interrupted", 4)
 
 
+def test_an_interrupt_while_a_library_is_loaded(drive, tmp_path, monkeypatch, fvslam):
+    """Libraries in C++ make another exception of it."""
+
+    def interrupted(sequence, config):
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr(pipeline, "estimate", interrupted)
+    assert fvslam("run", drive, "--out", tmp_path / "run") == (130, "", "")
+
+
 def test_frames_that_were_not_tracked_are_counted(drive, tmp_path, fvslam):
     recording = shutil.copytree(drive, tmp_path / "drive")
     for number in range(1, 12):
