@@ -25,6 +25,7 @@ _SEARCH = 8.0  # pixels that the ground may lie off its prediction
 _HYPOTHESES = 60
 MIN_TRACKS = 10  # on the ground, for a first guess
 _RATIOS = np.geomspace(0.05, 4.0, 16)  # baseline over height: what is tried where nothing is expected
+STRIDE = 5  # from one of these to the next one tried: all come, and soon some of each size
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class GroundAligner:
         self.settings = settings
         self._grid = self._ground_pixels()
         self._rays = rays(camera, self._grid.astype(float))
+        self._next = 0  # of the ratios, where what is expected leads nowhere
 
     def measure(
         self,
@@ -79,18 +81,24 @@ class GroundAligner:
             two_view: Their relative pose.
             ray: (N, 3) of tracks in the previous image; where nothing is expected, they give the first guess.
             depths: (N,) of these tracks, in baselines.
-            expected: Baseline per height, dimensionless; only steers the search. Without it, and where the tracks are
-                too few, a range of them is tried and the ground with most patches is taken.
+            expected: Baseline per height, dimensionless; only steers the search. Where it leads to no ground, tracks
+                do, or one of a range of ratios, the next one at each call: what is expected may be wrong for good.
+                Without it, and without tracks, the whole range is tried and the ground with most patches is taken.
             rng: For the hypotheses.
         """
-        if expected is not None:
-            return self._measure_near(previous, current, two_view, expected * self.normal, rng)
+        likely = None if expected is None else expected * self.normal
+        if likely is not None and (ground := self._measure_near(previous, current, two_view, likely, rng)):
+            return ground
         seen = self._sees_ground(ray)
         if seen.sum() >= MIN_TRACKS:
             guess = self._hypothesise(ray[seen], depths[seen], rng)
             if ground := self._measure_near(previous, current, two_view, guess, rng):
                 return ground
-        tried = [self._measure_near(previous, current, two_view, ratio * self.normal, rng) for ratio in _RATIOS]
+        ratios = _RATIOS
+        if expected is not None:
+            self._next = (self._next + STRIDE) % len(_RATIOS)
+            ratios = _RATIOS[[self._next]]
+        tried = [self._measure_near(previous, current, two_view, ratio * self.normal, rng) for ratio in ratios]
         return max(filter(None, tried), key=lambda ground: ground.patches, default=None)
 
     def _measure_near(

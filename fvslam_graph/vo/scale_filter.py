@@ -7,6 +7,8 @@ import math
 from fvslam_graph.config import ScaleSettings
 from fvslam_graph.estimates import LogScale
 
+GATE = 15.1  # squared deviations: chi-square with one degree of freedom is beyond it once in ten thousand
+
 
 class ScaleFilter:
     """The scale that a map carries, measured on a ground that is not quite the plane it is taken for.
@@ -44,7 +46,12 @@ class ScaleFilter:
             return predicted
         by_scale, by_shared = predicted.variance + covariance, shared.variance + covariance
         spread = by_scale + by_shared + measured.variance
-        surprise = (measured.mean - predicted.mean - shared.mean) / spread
+        difference = measured.mean - predicted.mean - shared.mean
+        if difference**2 > GATE * spread:
+            # One of the two is wrong, and the next measurement tells which.
+            self._shared, self._covariance = shared, covariance
+            return LogScale(predicted.mean, predicted.variance + (difference / 2) ** 2)
+        surprise = difference / spread
         self._shared = LogScale(shared.mean + by_shared * surprise, shared.variance - by_shared**2 / spread)
         self._covariance = covariance - by_scale * by_shared / spread
         return LogScale(predicted.mean + by_scale * surprise, predicted.variance - by_scale**2 / spread)

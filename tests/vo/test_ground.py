@@ -144,6 +144,22 @@ def test_wrong_expectations_are_not_confirmed(plane_views, view):
 
 
 @VIEWS
+@pytest.mark.parametrize("off", [0.3, 0.6, 0.7, 1.3, 1.5, 3.0])
+def test_a_wrong_expectation_does_not_hide_the_ground_for_good(plane_views, view, off):
+    """The tracks find it at once; without any on the ground, some calls later one of the ratios does."""
+    images = plane_views(view.camera, view.motion, (view.nominal, view.height))
+    ray, depths = tracks_on(view, view.nominal)
+    expected = off * view.baseline_per_height
+    rng, aligner = np.random.default_rng(0), view.aligner()
+    at_once = aligner.measure(*images, view.two_view, ray, depths, expected, rng)
+    assert abs(log_error(view, at_once)) < 0.02
+    none = np.empty((0, 3)), InverseDepths.none()
+    later = [aligner.measure(*images, view.two_view, *none, expected, rng) for _ in range(16)]
+    found = [ground for ground in later if ground is not None]
+    assert found and all(abs(log_error(view, ground)) < 0.04 for ground in found)
+
+
+@VIEWS
 def test_without_texture_there_is_no_ground(view, plane_views):
     grey = np.full((view.camera.height, view.camera.width), 90, np.uint8)
     for off in (1.0, None):

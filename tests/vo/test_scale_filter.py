@@ -45,11 +45,11 @@ def test_independent_errors_would_be_too_sure():
 
 def test_without_a_shared_error_it_is_the_kalman_filter():
     scales = ScaleFilter(SETTINGS.model_copy(update={"shared_sigma": 1e-9}))
-    scale, measured = LogScale(1.0, 1 / 25), LogScale(2.0, 1 / 100)
+    scale, measured = LogScale(1.0, 1 / 25), LogScale(1.5, 1 / 100)
     for count in range(1, 4):
         scale = scales.update(scale, measured)
         information = 25 + 100 * count
-        assert scale.mean == pytest.approx((1.0 * 25 + 2.0 * 100 * count) / information, abs=1e-9)
+        assert scale.mean == pytest.approx((1.0 * 25 + 1.5 * 100 * count) / information, abs=1e-9)
         assert scale.variance == pytest.approx(1 / information, abs=1e-9)
 
 
@@ -68,3 +68,22 @@ def test_what_is_known_of_the_shared_error_outlasts_the_map():
 def test_nothing_measured_changes_nothing():
     predicted = LogScale(0.3, 0.01)
     assert ScaleFilter(SETTINGS).update(predicted, None) == predicted
+
+
+@pytest.mark.parametrize("off", [0.4, 0.7, 1.5, 4.0])
+def test_a_map_that_is_wrong_is_given_up(off):
+    """However certain it claims to be: what is measured again and again is right."""
+    scales, scale = ScaleFilter(SETTINGS), LogScale(np.log(off), 1e-4)
+    plane = LogScale(0.0, SETTINGS.plane_sigma**2)
+    first = scales.update(scale, plane)
+    assert first.mean == scale.mean and abs(first.mean) < 3 * np.sqrt(first.variance)  # it may be either
+    second = scales.update(first, plane)
+    assert abs(second.mean) < 3 * np.sqrt(second.variance) < 0.15
+
+
+def test_a_measurement_that_is_wrong_leaves_the_map():
+    scales, scale = ScaleFilter(SETTINGS), LogScale(0.0, 1e-4)
+    for measured in (0.7, 0.0, 0.0, 0.0):
+        scale = scales.update(scale, LogScale(measured, SETTINGS.plane_sigma**2))
+    assert abs(scale.mean) < 0.01
+    assert scale.variance < 0.05**2
