@@ -192,7 +192,7 @@ class VisualOdometry:
         assert self._reference is not None
         with self._stopwatch.stage("pose"):
             used = self._used(tracks)
-            expected = [pose for pose in (located, self._predict(frame).mean) if pose is not None]
+            expected = [located or self._predict(frame).mean]
             two_view = estimate_two_view(
                 tracks[used], self.camera, self.settings, self._seed(), expected, self._map.depths
             )

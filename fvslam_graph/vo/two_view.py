@@ -18,7 +18,9 @@ from fvslam_graph.vo.depth import InverseDepths, triangulate
 KERNEL = 2.0  # deviations beyond which a match counts for less (Cauchy)
 START_NOISE = 0.2  # pixels, of a track along each axis, until residuals tell it,
 LEAST_NOISE = 0.05  # and what they can tell at least
-WIDTHS = (8, 4, 2, 1, 1, 1)  # limits within which tracks agree, by iteration: from a rough start, few do
+WIDTHS = (8, 3, 1, 1, 1)  # limits within which tracks agree, by iteration: from a rough start, few do
+FOUND = 2  # the first of these for what was found by all tracks
+CONVERGED = 1e-5  # rad, of a step
 CLEARLY = 4.0  # deviations beyond which a match does not count
 LONGEST = 0.1  # rad, step of the refinement
 CELLS = (8, 6)  # of the image, within which tracks are taken to err alike: blur, rolling shutter, calibration
@@ -95,8 +97,12 @@ def estimate_two_view(
     found = gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
     matches = _Matches(tracks, rays(camera, tracks.reference), rays(camera, tracks.current), camera.fx, known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
-    starts = [start for start in (found, *expected) if np.linalg.norm(start.translation()) > 0]
-    fits = [_refine(start, matches, limit) for start in starts]
+    starts = [(found, WIDTHS[FOUND:]), *((motion, WIDTHS) for motion in expected)]
+    fits = [
+        _refine(start, matches, limit, widths)
+        for start, widths in starts
+        if np.linalg.norm(start.translation()) > 0
+    ]
     noise = min((fit.noise for fit in fits), default=START_NOISE)
     best = min(fits, key=lambda fit: fit.cost(matches, noise), default=None)
     if best is None:
@@ -184,12 +190,12 @@ class _Fit:
         return cost + float(np.log1p(square / KERNEL**2).sum())
 
 
-def _refine(start: gtsam.Pose3, matches: _Matches, limit: float) -> _Fit:
+def _refine(start: gtsam.Pose3, matches: _Matches, limit: float, widths: Sequence[int]) -> _Fit:
     """The relative pose near another by the tracks that agree with it (iteratively reweighted least squares)."""
     rotation = start.rotation()
     direction = start.translation() / np.linalg.norm(start.translation())
     covariances = matches.tracks.covariances
-    for width in WIDTHS:
+    for width in widths:
         distance, jacobian = matches.distance(rotation, direction)
         noise = width * _noise(distance, covariances, limit)
         within = min(width * limit, CLEARLY * noise)
@@ -199,9 +205,12 @@ def _refine(start: gtsam.Pose3, matches: _Matches, limit: float) -> _Fit:
         information = weighted.T @ jacobian
         information[np.diag_indices(5)] += 1e-9 * np.trace(information) + 1e-12  # fewer than five may agree
         step = -np.linalg.solve(information, weighted.T @ distance)
-        step *= min(1.0, LONGEST / max(float(np.linalg.norm(step)), 1e-12))
+        length = float(np.linalg.norm(step))
+        step *= min(1.0, LONGEST / max(length, 1e-12))
         rotation = rotation.retract(step[:3])
         direction = gtsam.Unit3(direction).retract(step[3:]).point3()
+        if width == 1 and length < CONVERGED:
+            break
     distance, jacobian = matches.distance(rotation, direction)
     return _Fit(rotation, direction, distance, jacobian, _noise(distance, covariances, limit))
 
