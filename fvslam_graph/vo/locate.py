@@ -15,7 +15,16 @@ from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.vo.depth import InverseDepths
 from fvslam_graph.vo.reprojection import ReprojectionErrors, reprojection_errors
-from fvslam_graph.vo.two_view import KERNEL, START_NOISE, WIDTHS, by_few, clustered, neighbourhoods, poselib_camera
+from fvslam_graph.vo.two_view import (
+    KERNEL,
+    START_NOISE,
+    WIDTHS,
+    by_few,
+    clustered,
+    inverse_curvature,
+    neighbourhoods,
+    poselib_camera,
+)
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
 
@@ -103,10 +112,9 @@ def refine(
     weighted = _weights(errors)[:, None, None] * errors.by_pose
     each = (weighted * errors.values[:, :, None]).sum(axis=1)
     scores = clustered(each, neighbourhoods(tracks.reference, camera))
-    curvature = np.einsum("nri,nrj->ij", weighted, errors.by_pose) - 2 / KERNEL**2 * each.T @ each
-    if len(scores) <= 6 or not np.linalg.eigvalsh(curvature)[0] > 0:
+    inverse = inverse_curvature(np.einsum("nri,nrj->ij", weighted, errors.by_pose), each / KERNEL)
+    if len(scores) <= 6 or inverse is None:
         return None
-    inverse = np.linalg.inv(curvature)
     pull = np.einsum("nri,nrs->is", weighted, errors.by_shared)
     covariance = inverse @ (scores.T @ scores * by_few(len(scores), 6) + pull @ pull.T) @ inverse
     return Located(GaussianPose(ref_T_cur, (covariance + covariance.T) / 2), errors.agree, noise)

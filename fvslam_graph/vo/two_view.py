@@ -26,6 +26,7 @@ LONGEST = 0.1  # rad, step of the refinement
 CELLS = (8, 6)  # of the image, within which tracks are taken to err alike: blur, rolling shutter, calibration
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
+LEAST_CURVATURE = 0.1  # of a loss, as a share of what least squares would have with its weights
 BEHIND = 5.0  # deviations that a depth behind the camera counts for
 
 Rays = NDArray[np.float64]
@@ -99,9 +100,7 @@ def estimate_two_view(
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
     starts = [(found, WIDTHS[FOUND:]), *((motion, WIDTHS) for motion in expected)]
     fits = [
-        _refine(start, matches, limit, widths)
-        for start, widths in starts
-        if np.linalg.norm(start.translation()) > 0
+        _refine(start, matches, limit, widths) for start, widths in starts if np.linalg.norm(start.translation()) > 0
     ]
     noise = min((fit.noise for fit in fits), default=START_NOISE)
     best = min(fits, key=lambda fit: fit.cost(matches, noise), default=None)
@@ -302,6 +301,23 @@ def cauchy_curvature(residual: NDArray[np.float64]) -> float:
     return float((weight * (1 - residual**2) * weight).sum() / max(weight.sum(), 1e-12))
 
 
+def inverse_curvature(information: NDArray[np.float64], bent: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Inverse (P, P) of the second derivative of a sum of Cauchy losses; None where it determines nothing.
+
+    Args:
+        information: (P, P) as if the weights that the losses give to residuals were given.
+        bent: (N, P) gradients of the losses, by whose squares they bend away from that. Where few residuals tell
+            something and these are large, more than all could be gone: a tenth is left.
+    """
+    values = np.linalg.eigvalsh(information)
+    if not values[0] > 1e-12 * values[-1]:
+        return None
+    root = np.linalg.inv(np.linalg.cholesky(information))
+    share, axes = np.linalg.eigh(root @ (information - 2 * bent.T @ bent) @ root.T)
+    inverse: NDArray[np.float64] = root.T @ (axes / np.maximum(share, LEAST_CURVATURE)) @ axes.T @ root
+    return inverse
+
+
 def m_estimator_covariance(
     residual: NDArray[np.float64],
     jacobian: NDArray[np.float64],
@@ -320,14 +336,12 @@ def m_estimator_covariance(
         (P, P); None where the residuals do not determine the parameters.
     """
     parameters = jacobian.shape[1]
-    square = (residual / loss_scale) ** 2
-    curvature = (1 - square) / (1 + square) ** 2
-    bread = jacobian.T @ (curvature[:, None] * jacobian)
-    values = np.linalg.eigvalsh(bread)
-    scores = clustered((residual / (1 + square))[:, None] * jacobian, clusters)
+    weight = 1 / (1 + (residual / loss_scale) ** 2)
+    each = (residual * weight)[:, None] * jacobian
+    inverse = inverse_curvature(jacobian.T @ (weight[:, None] * jacobian), each / loss_scale)
+    scores = clustered(each, clusters)
     count = len(scores)
-    if count <= parameters or not values[0] > 1e-12 * values[-1]:
+    if count <= parameters or inverse is None:
         return None
-    inverse = np.linalg.inv(bread)
     covariance: NDArray[np.float64] = inverse @ (scores.T @ scores) @ inverse * by_few(count, parameters)
     return (covariance + covariance.T) / 2
