@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -21,6 +22,7 @@ LEAST_NOISE = 0.05  # and what they can tell at least
 WIDTHS = (8, 3, 1, 1, 1)  # limits within which tracks agree, by iteration: from a rough start, few do
 FOUND = 2  # the first of these for what was found by all tracks
 CONVERGED = 1e-5  # rad, of a step
+SAME = 1e-3  # rad between rotations, and ten times that between directions, of one and the same solution
 CLEARLY = 4.0  # deviations beyond which a match does not count
 LONGEST = 0.1  # rad, step of the refinement
 CELLS = (8, 6)  # of the image, within which tracks are taken to err alike: blur, rolling shutter, calibration
@@ -98,14 +100,13 @@ def estimate_two_view(
     found = gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
     matches = _Matches(tracks, rays(camera, tracks.reference), rays(camera, tracks.current), camera.fx, known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
-    starts = [(found, WIDTHS[FOUND:]), *((motion, WIDTHS) for motion in expected)]
-    fits = [
-        _refine(start, matches, limit, widths) for start, widths in starts if np.linalg.norm(start.translation()) > 0
-    ]
-    noise = min((fit.noise for fit in fits), default=START_NOISE)
-    best = min(fits, key=lambda fit: fit.cost(matches, noise), default=None)
-    if best is None:
+    fits = [_refine(start, matches, limit, WIDTHS) for start in expected if np.linalg.norm(start.translation()) > 0]
+    if np.linalg.norm(found.translation()) > 0 and not any(fit.is_at(found) for fit in fits):
+        fits.append(_refine(found, matches, limit, WIDTHS[FOUND:]))
+    if not fits:
         return None
+    noise = min(fit.noise for fit in fits)
+    best = min(fits, key=lambda fit: fit.cost(matches, noise)) if len(fits) > 1 else fits[0]
     inliers = (np.abs(best.distance) < limit) & matches.ahead(best.rotation, best.direction, limit)
     if inliers.sum() < max(settings.min_inliers, settings.min_inlier_share * len(tracks)):
         return None
@@ -133,6 +134,21 @@ class _Matches:
         """Of the current points from their epipolar lines."""
         return epipolar_distance(self.previous, self.current, rotation, direction, self.focal, self.tracks.covariances)
 
+    @cached_property
+    def _corners(self) -> NDArray[np.bool_]:
+        """(N,) which tracks are none of edges, if these are enough."""
+        corners = self.tracks.covariances.trace(axis1=1, axis2=2) < 3
+        return corners if corners.sum() > ENOUGH_CORNERS else np.ones_like(corners)
+
+    def noise(self, distance: NDArray[np.float64], limit: float) -> float:
+        """Pixels by which corners err along each axis, from the distances (N,) of tracks that agree.
+
+        Without edges: their large variances are no measure of what they err.
+        """
+        errors = np.abs(distance[self._corners])
+        errors = errors[errors < limit]
+        return max(float(np.median(errors)) / 0.6745, LEAST_NOISE) if len(errors) else limit
+
     def ahead(self, rotation: gtsam.Rot3, direction: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
         """(N,) which points are not seen behind the camera by more than a limit in the current image, pixels.
 
@@ -157,6 +173,12 @@ class _Fit:
     distance: NDArray[np.float64]
     jacobian: NDArray[np.float64]
     noise: float
+
+    def is_at(self, pose: gtsam.Pose3) -> bool:
+        """Whether a pose leads to this one."""
+        turned = np.linalg.norm(gtsam.Rot3.Logmap(self.rotation.between(pose.rotation())))
+        off = np.linalg.norm(self.direction - pose.translation() / np.linalg.norm(pose.translation()))
+        return bool(turned < SAME and off < 10 * SAME)
 
     def cost(self, matches: _Matches, noise: float) -> float:
         """Cauchy cost of the epipolar distances, and of how the depths depart from those known, up to their scale."""
@@ -193,12 +215,14 @@ def _refine(start: gtsam.Pose3, matches: _Matches, limit: float, widths: Sequenc
     """The relative pose near another by the tracks that agree with it (iteratively reweighted least squares)."""
     rotation = start.rotation()
     direction = start.translation() / np.linalg.norm(start.translation())
-    covariances = matches.tracks.covariances
+    ahead = None
     for width in widths:
         distance, jacobian = matches.distance(rotation, direction)
-        noise = width * _noise(distance, covariances, limit)
-        within = min(width * limit, CLEARLY * noise)
-        agree = (np.abs(distance) < within) & matches.ahead(rotation, direction, width * limit)
+        noise = width * matches.noise(distance, limit)
+        agree = np.abs(distance) < min(width * limit, CLEARLY * noise)
+        if width == 1:
+            ahead = matches.ahead(rotation, direction, limit) if ahead is None else ahead
+            agree &= ahead
         weight = agree / (1 + (distance / (KERNEL * noise)) ** 2)
         weighted = weight[:, None] * jacobian
         information = weighted.T @ jacobian
@@ -211,18 +235,7 @@ def _refine(start: gtsam.Pose3, matches: _Matches, limit: float, widths: Sequenc
         if width == 1 and length < CONVERGED:
             break
     distance, jacobian = matches.distance(rotation, direction)
-    return _Fit(rotation, direction, distance, jacobian, _noise(distance, covariances, limit))
-
-
-def _noise(distance: NDArray[np.float64], covariances: NDArray[np.float64], limit: float) -> float:
-    """Pixels by which corners err along each axis, from the distances (N,) of tracks that agree.
-
-    Without edges, if there are enough others: their large variances are no measure of what they err.
-    """
-    agree = np.abs(distance) < limit
-    corner = agree & (covariances.trace(axis1=1, axis2=2) < 3)
-    errors = np.abs(distance[corner if corner.sum() > ENOUGH_CORNERS else agree])
-    return max(float(np.median(errors)) / 0.6745, LEAST_NOISE) if len(errors) else limit
+    return _Fit(rotation, direction, distance, jacobian, matches.noise(distance, limit))
 
 
 def poselib_camera(camera: Camera) -> dict[str, object]:
