@@ -103,13 +103,13 @@ class RunWriter:
                 stack.enter_context(claimed(self._place, Kind.RUN))
             with writing(self._place):
                 _clear(self._place)
-                self._write_info("running")
                 settings = yaml.safe_dump(self._config.model_dump(mode="json"), sort_keys=False)
                 write_file(self._place / CONFIG, settings)
                 if self._ground_truth is not None:
                     _write_tum(self._place / GROUND_TRUTH, self._ground_truth)
                 self._trajectory = stack.enter_context((self._place / ONLINE).open("w"))
                 self._frames = stack.enter_context((self._place / FRAMES).open("w", newline=""))
+                self._write_info("running")  # last: from here on, this is a run, and all that one has is there
             self._stack = stack.pop_all()
         return self
 
