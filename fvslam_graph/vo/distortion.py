@@ -11,8 +11,8 @@ from fvslam_graph.config import load_config
 from fvslam_graph.errors import EstimationError
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.sequences.base import MOST_DISTORTED, Sequence
+from fvslam_graph.vo.epipolar import epipolar_distance, rays
 from fvslam_graph.vo.odometry import VisualOdometry
-from fvslam_graph.vo.two_view import epipolar_distance, rays
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Camera, Image
 from fvslam_graph.config import GroundSettings
 from fvslam_graph.vo.depth import InverseDepths, triangulate
-from fvslam_graph.vo.two_view import TwoView, epipolar_distance, rays
+from fvslam_graph.vo.epipolar import epipolar_distance, rays
+from fvslam_graph.vo.two_view import TwoView
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
 _WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car

@@ -14,17 +14,9 @@ from fvslam_graph.config import VoSettings
 from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.vo.depth import InverseDepths
-from fvslam_graph.vo.reprojection import ReprojectionErrors, reprojection_errors
-from fvslam_graph.vo.two_view import (
-    KERNEL,
-    START_NOISE,
-    WIDTHS,
-    by_few,
-    clustered,
-    inverse_curvature,
-    neighbourhoods,
-    poselib_camera,
-)
+from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
+from fvslam_graph.vo.reprojection import reprojection_errors
+from fvslam_graph.vo.two_view import KERNEL, START_NOISE, WIDTHS, poselib_camera
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
 
@@ -100,7 +92,7 @@ def refine(
     noise = START_NOISE
     for width in WIDTHS:
         errors = reprojection_errors(ref_T_cur, rays, tracks, depths, camera, width * noise)
-        weight = _weights(errors)
+        weight = errors.agree / (1 + errors.squares / KERNEL**2)
         jacobian = errors.by_pose.reshape(-1, 6)
         weighted = np.repeat(weight, 2)[:, None] * jacobian
         information = weighted.T @ jacobian
@@ -109,18 +101,12 @@ def refine(
         ref_T_cur = ref_T_cur.retract(-np.linalg.solve(information, weighted.T @ errors.values.ravel()))
         noise = float(np.clip(width * noise * errors.spread, *NOISE))
     errors = reprojection_errors(ref_T_cur, rays, tracks, depths, camera, noise)
-    weighted = _weights(errors)[:, None, None] * errors.by_pose
-    each = (weighted * errors.values[:, :, None]).sum(axis=1)
-    scores = clustered(each, neighbourhoods(tracks.reference, camera))
-    inverse = inverse_curvature(np.einsum("nri,nrj->ij", weighted, errors.by_pose), each / KERNEL)
-    if len(scores) <= 6 or inverse is None:
-        return None
-    pull = np.einsum("nri,nrs->is", weighted, errors.by_shared)
-    covariance = inverse @ (scores.T @ scores * by_few(len(scores), 6) + pull @ pull.T) @ inverse
-    return Located(GaussianPose(ref_T_cur, (covariance + covariance.T) / 2), errors.agree, noise)
-
-
-def _weights(errors: ReprojectionErrors) -> Array:
-    """(N,) of a Cauchy loss, and nothing for tracks that do not agree."""
-    weights: Array = errors.agree / (1 + errors.squares / KERNEL**2)
-    return weights
+    agree = errors.agree
+    covariance = m_estimator_covariance(
+        errors.values[agree],
+        errors.by_pose[agree],
+        KERNEL,
+        neighbourhoods(tracks.reference[agree], camera),
+        errors.by_shared[agree],
+    )
+    return None if covariance is None else Located(GaussianPose(ref_T_cur, covariance), agree, noise)

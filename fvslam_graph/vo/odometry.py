@@ -22,13 +22,14 @@ from fvslam_graph.sequences.base import Frame, Ground
 from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.trajectory import Status
 from fvslam_graph.vo.depth import InverseDepths, triangulate
+from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.estimate import VoEstimate, metric_pose
 from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import MetricMap, MetricScale
-from fvslam_graph.vo.two_view import estimate_two_view, rays
+from fvslam_graph.vo.two_view import estimate_two_view
 
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1

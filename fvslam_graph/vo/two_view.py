@@ -15,6 +15,8 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.config import VoSettings
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.vo.depth import InverseDepths, triangulate
+from fvslam_graph.vo.epipolar import Rays, epipolar_distance, rays
+from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 
 KERNEL = 2.0  # deviations beyond which a match counts for less (Cauchy)
 START_NOISE = 0.2  # pixels, of a track along each axis, until residuals tell it,
@@ -25,13 +27,9 @@ CONVERGED = 1e-5  # rad, of a step
 SAME = 1e-3  # rad between rotations, and ten times that between directions, of one and the same solution
 CLEARLY = 4.0  # deviations beyond which a match does not count
 LONGEST = 0.1  # rad, step of the refinement
-CELLS = (8, 6)  # of the image, within which tracks are taken to err alike: blur, rolling shutter, calibration
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
-LEAST_CURVATURE = 0.1  # of a loss, as a share of what least squares would have with its weights
 BEHIND = 5.0  # deviations that a depth behind the camera counts for
-
-Rays = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -52,12 +50,6 @@ class TwoView:
     covariance: NDArray[np.float64]
     inliers: NDArray[np.bool_]
     noise: float
-
-
-def rays(camera: Camera, pixels: NDArray[np.float64]) -> Rays:
-    """Viewing rays (N, 3) of pixels (N, 2), with z = 1."""
-    normalized = camera.normalize(pixels)
-    return np.column_stack([normalized, np.ones(len(normalized))])
 
 
 def estimate_two_view(
@@ -83,8 +75,7 @@ def estimate_two_view(
         known: Depths of some of the tracks in the previous camera. They choose among the solutions and are no part of
             the chosen one, so that its error has nothing to do with theirs.
 
-    Source: Nister 2004 (five points); Larsson et al., PoseLib (LO-RANSAC); covariance of an M-estimator after Huber,
-    Robust Statistics, section 6.3, with clusters after Liang and Zeger 1986.
+    Source: Nister 2004 (five points); Larsson et al., PoseLib (LO-RANSAC).
     """
     if len(tracks) < settings.min_inliers:
         return None
@@ -112,7 +103,8 @@ def estimate_two_view(
         return None
     told = inliers & (np.abs(best.distance) < CLEARLY * best.noise)
     cells = neighbourhoods(tracks.reference[told], camera)
-    covariance = m_estimator_covariance(best.distance[told], best.jacobian[told], KERNEL * best.noise, cells)
+    distance, jacobian = best.distance[told, None], best.jacobian[told, None]
+    covariance = m_estimator_covariance(distance, jacobian, KERNEL * best.noise, cells)
     if covariance is None:
         return None
     return TwoView(best.rotation, best.direction, covariance, inliers, best.noise)
@@ -242,119 +234,3 @@ def poselib_camera(camera: Camera) -> dict[str, object]:
     """The undistorted camera as PoseLib takes it."""
     parameters = [camera.fx, camera.fy, camera.cx, camera.cy]
     return {"model": "PINHOLE", "width": camera.width, "height": camera.height, "params": parameters}
-
-
-def epipolar_distance(
-    previous: Rays,
-    current: Rays,
-    rotation: gtsam.Rot3,
-    direction: NDArray[np.float64],
-    focal: float,
-    covariances: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far current points are from the epipolar lines of the previous ones, (N,), and its Jacobian (N, 5).
-
-    A tracker errs about the displacement from the previous image, so the distance is measured in the current one.
-
-    Args:
-        previous, current: (N, 3) rays, z = 1.
-        rotation: prev_R_cur.
-        direction: (3,) unit vector in the previous camera, from there to the current one.
-        focal: Pixels.
-        covariances: (N, 2, 2) as of Tracks; with them, a distance is as long as if it were a corner's.
-
-    Returns:
-        Pixels, and in the tangent of TwoView.
-    """
-    R = rotation.matrix()
-    line = cross(previous, direction) @ R
-    length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)  # a point on the epipole has no line
-    normal = line[:, :2] / length[:, None]
-    distance = (line * current).sum(axis=1) / length
-    foot = current.copy()  # of the perpendicular: seen from there, it does not matter how the normal turns
-    foot[:, :2] -= distance[:, None] * normal
-    weight: NDArray[np.float64] = focal / length
-    if covariances is not None:
-        weight = weight / np.sqrt((normal * (covariances @ normal[:, :, None])[:, :, 0]).sum(axis=1))
-    by_direction = cross(foot @ R.T, previous) @ gtsam.Unit3(direction).basis()
-    return distance * length * weight, weight[:, None] * np.hstack([cross(foot, line), by_direction])
-
-
-def cross(a: Rays, b: NDArray[np.float64]) -> Rays:
-    """Cross products of vectors (N, 3) with others, or with one: np.cross takes several times as long."""
-    x, y, z = b.T
-    return np.stack([a[:, 1] * z - a[:, 2] * y, a[:, 2] * x - a[:, 0] * z, a[:, 0] * y - a[:, 1] * x], axis=1)
-
-
-def neighbourhoods(pixels: NDArray[np.float64], camera: Camera) -> NDArray[np.intp]:
-    """Numbers (N,) of the cells of the image that points (N, 2) lie in."""
-    cells = (pixels * np.divide(CELLS, (camera.width, camera.height))).astype(np.intp).clip(0, np.subtract(CELLS, 1))
-    return np.asarray(cells[:, 1] * CELLS[0] + cells[:, 0])
-
-
-def clustered(scores: NDArray[np.float64], clusters: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Scores (N, P) of residuals summed over each of C clusters, (C, P)."""
-    member = np.zeros((int(clusters.max(initial=0)) + 1, len(scores)))
-    member[clusters, np.arange(len(scores))] = 1.0
-    return member[member.any(axis=1)] @ scores
-
-
-def by_few(count: int, parameters: int) -> float:
-    """How much larger a covariance of so many parameters must be that is told by so few groups of residuals.
-
-    These are smaller than errors, since they were minimised; and a sum of so few squares is now and then too small by
-    far (Hotelling 1931).
-    """
-    return count / (count - parameters) * (count - 1) / max(count - parameters - 2, 1)
-
-
-def cauchy_curvature(residual: NDArray[np.float64]) -> float:
-    """Mean second derivative of a Cauchy loss of scale 1 by the mean of the weights that it gives residuals (N,)."""
-    weight = 1 / (1 + residual**2)
-    return float((weight * (1 - residual**2) * weight).sum() / max(weight.sum(), 1e-12))
-
-
-def inverse_curvature(information: NDArray[np.float64], bent: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Inverse (P, P) of the second derivative of a sum of Cauchy losses; None where it determines nothing.
-
-    Args:
-        information: (P, P) as if the weights that the losses give to residuals were given.
-        bent: (N, P) gradients of the losses, by whose squares they bend away from that. Where few residuals tell
-            something and these are large, more than all could be gone: a tenth is left.
-    """
-    values = np.linalg.eigvalsh(information)
-    if not values[0] > 1e-12 * values[-1]:
-        return None
-    root = np.linalg.inv(np.linalg.cholesky(information))
-    share, axes = np.linalg.eigh(root @ (information - 2 * bent.T @ bent) @ root.T)
-    inverse: NDArray[np.float64] = root.T @ (axes / np.maximum(share, LEAST_CURVATURE)) @ axes.T @ root
-    return inverse
-
-
-def m_estimator_covariance(
-    residual: NDArray[np.float64],
-    jacobian: NDArray[np.float64],
-    loss_scale: float,
-    clusters: NDArray[np.intp],
-) -> NDArray[np.float64] | None:
-    """Covariance of a Cauchy M-estimate from the residuals themselves, so that no noise level is assumed.
-
-    Args:
-        residual: (N,) at the estimate.
-        jacobian: (N, P) of the residuals.
-        loss_scale: Of the Cauchy loss, in the residuals' unit.
-        clusters: (N,) numbers of groups of residuals, which are independent of other groups and need not be within.
-
-    Returns:
-        (P, P); None where the residuals do not determine the parameters.
-    """
-    parameters = jacobian.shape[1]
-    weight = 1 / (1 + (residual / loss_scale) ** 2)
-    each = (residual * weight)[:, None] * jacobian
-    inverse = inverse_curvature(jacobian.T @ (weight[:, None] * jacobian), each / loss_scale)
-    scores = clustered(each, clusters)
-    count = len(scores)
-    if count <= parameters or inverse is None:
-        return None
-    covariance: NDArray[np.float64] = inverse @ (scores.T @ scores) @ inverse * by_few(count, parameters)
-    return (covariance + covariance.T) / 2

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.vo.depth import PIXEL_NOISE, InverseDepths, triangulate
-from fvslam_graph.vo.two_view import rays
+from fvslam_graph.vo.epipolar import rays
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.6, -0.2, 0.5]))
 

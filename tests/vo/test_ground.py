@@ -9,8 +9,9 @@ import pytest
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GroundSettings
 from fvslam_graph.vo.depth import InverseDepths
+from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground import GroundAligner, GroundPlane
-from fvslam_graph.vo.two_view import TwoView, rays
+from fvslam_graph.vo.two_view import TwoView
 
 
 class View(NamedTuple):

@@ -9,9 +9,9 @@ import pytest
 from fvslam_graph.config import VoSettings
 from fvslam_graph.evaluation.nees import nees_band
 from fvslam_graph.vo.depth import SHARED, InverseDepths
+from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.reprojection import reprojection_errors
-from fvslam_graph.vo.two_view import rays
 
 SETTINGS = VoSettings()
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.01, 0.03, -0.02])), np.array([0.05, 0.02, 0.1]))

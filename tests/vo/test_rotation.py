@@ -4,8 +4,8 @@ import gtsam
 import numpy as np
 import pytest
 
+from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.rotation import fit_rotation
-from fvslam_graph.vo.two_view import rays
 
 TURN = gtsam.Rot3.Expmap(np.array([0.02, -0.05, 0.1]))
 

@@ -10,9 +10,10 @@ from fvslam_graph.config import ScaleSettings, ScaleSource
 from fvslam_graph.estimates import LogScale
 from fvslam_graph.sequences.base import Frame
 from fvslam_graph.vo.depth import InverseDepths, triangulate
+from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground import GroundPlane
 from fvslam_graph.vo.scale import MIN_COMMON, ORACLE_VARIANCE, MetricMap, MetricScale
-from fvslam_graph.vo.two_view import TwoView, rays
+from fvslam_graph.vo.two_view import TwoView
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.9, -0.3, 1.2]))
 BASELINE = float(np.linalg.norm(MOTION.translation()))

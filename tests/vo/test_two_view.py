@@ -11,7 +11,8 @@ from fvslam_graph.config import VoSettings
 from fvslam_graph.evaluation.nees import nees_band
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.vo.depth import InverseDepths
-from fvslam_graph.vo.two_view import clustered, epipolar_distance, estimate_two_view, m_estimator_covariance, rays
+from fvslam_graph.vo.epipolar import epipolar_distance, rays
+from fvslam_graph.vo.two_view import estimate_two_view
 
 SETTINGS = VoSettings()
 FORWARD = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.01, 0.03, -0.02])), np.array([0.2, 0.05, 1.0]))
@@ -173,34 +174,3 @@ def test_nothing_to_go_by(camera, two_views):
     rng = np.random.default_rng(0)
     anywhere = Tracks.alike(np.arange(40), rng.uniform(0, 480, (40, 2)), rng.uniform(0, 480, (40, 2)))
     assert estimate_two_view(anywhere, camera, SETTINGS, 0) is None
-
-
-def test_covariance_of_least_squares():
-    """Where the loss is wide, that of ordinary least squares with the noise of the residuals themselves."""
-    rng = np.random.default_rng(0)
-    jacobian = rng.standard_normal((20_000, 3)) * (1.0, 2.0, 5.0)
-    covariance = m_estimator_covariance(0.5 * rng.standard_normal(20_000), jacobian, 1e3, np.arange(20_000))
-    assert covariance == pytest.approx(0.25 * np.linalg.inv(jacobian.T @ jacobian), rel=0.05, abs=1e-7)
-
-
-def test_residuals_that_are_alike_count_as_one():
-    """Each five times over: the covariance stays what it was, where it is known which are the same."""
-    rng = np.random.default_rng(0)
-    jacobian, residual = rng.standard_normal((2_000, 3)), 0.5 * rng.standard_normal(2_000)
-    once = m_estimator_covariance(residual, jacobian, 1e3, np.arange(2_000))
-    five = [np.repeat(array, 5, axis=0) for array in (residual, jacobian, np.arange(2_000))]
-    assert m_estimator_covariance(five[0], five[1], 1e3, five[2]) == pytest.approx(once, rel=1e-9, abs=1e-12)
-    assert m_estimator_covariance(five[0], five[1], 1e3, np.arange(10_000)) == pytest.approx(
-        once / 5, rel=0.01, abs=1e-6
-    )
-    assert clustered(np.array([[1.0], [2.0], [4.0]]), np.array([7, 3, 7])).tolist() == [[2.0], [5.0]]
-
-
-def test_residuals_that_determine_nothing_have_no_covariance():
-    rng = np.random.default_rng(0)
-    jacobian, residual, each = rng.standard_normal((20, 3)), 0.1 * rng.standard_normal(20), np.arange(20)
-    assert m_estimator_covariance(residual, jacobian, 0.3, each) is not None
-    assert m_estimator_covariance(residual[:3], jacobian[:3], 0.3, each[:3]) is None
-    assert m_estimator_covariance(residual, jacobian[:, [0, 1, 1]], 0.3, each) is None
-    outliers = m_estimator_covariance(residual + 10, jacobian, 0.3, each)
-    assert np.linalg.eigvalsh(outliers)[0] > 100  # of all that agree, a few hundredths
