@@ -36,16 +36,64 @@ class GaussianPose:
         covariance = adjoint @ self.covariance @ adjoint.T + step.covariance
         return GaussianPose(self.mean.compose(step.mean), (covariance + covariance.T) / 2)
 
+    @property
+    def travel(self) -> NDArray[np.float64]:
+        """(6,) how it changes with the logarithm of its length, in its own tangent."""
+        return np.concatenate([np.zeros(3), self.mean.rotation().unrotate(self.mean.translation())])
+
     def with_scale_variance(self, variance: float) -> GaussianPose:
         """The same with so much more variance of the logarithm of its length; less, where it is negative."""
-        travel = np.concatenate([np.zeros(3), self.mean.rotation().unrotate(self.mean.translation())])
-        return GaussianPose(self.mean, self.covariance + variance * np.outer(travel, travel))
+        return GaussianPose(self.mean, self.covariance + variance * np.outer(self.travel, self.travel))
 
     def inverse(self) -> GaussianPose:
         """b_T_a."""
         adjoint = self.mean.AdjointMap()
         covariance = adjoint @ self.covariance @ adjoint.T
         return GaussianPose(self.mean.inverse(), (covariance + covariance.T) / 2)
+
+
+@dataclass(frozen=True)
+class ScaledPose:
+    """A pose at the end of a path whose lengths have a scale that errs likewise from one motion to the next.
+
+    Attributes:
+        pose: a_T_b, with all its uncertainty.
+        by_scale: (6,) covariance of its error and that of the logarithm of the last motion's scale,
+        variance: and the variance of this.
+    """
+
+    pose: GaussianPose
+    by_scale: NDArray[np.float64]
+    variance: float
+
+    @classmethod
+    def of(cls, pose: GaussianPose, variance: float = 0.0) -> Self:
+        """One motion, whose covariance contains so much variance of the logarithm of its length."""
+        return cls(pose, variance * pose.travel, variance)
+
+    def replaced(self, pose: GaussianPose) -> ScaledPose:
+        """Another estimate of the same motion, with as much of the scale's error as its covariance has room for."""
+        if not self.variance > 0:
+            return ScaledPose.of(pose)
+        direction = self.by_scale / self.variance
+        known = float(direction @ np.linalg.pinv(pose.covariance, hermitian=True) @ direction)
+        variance = min(self.variance, 1 / known) if known > 0 else 0.0
+        return ScaledPose(pose, variance * direction, variance)
+
+    def compose(self, step: ScaledPose) -> ScaledPose:
+        """a_T_c of this a_T_b and b_T_c, which is independent of it but for the scale.
+
+        A scale that is carried from motion to motion, and measured again now and then, is a Markov chain: what two of
+        its errors have in common is the variance of the one that is known better.
+        """
+        adjoint = step.pose.mean.inverse().AdjointMap()
+        common = adjoint @ self.by_scale * (min(1.0, step.variance / self.variance) if self.variance > 0 else 0.0)
+        composed = self.pose.compose(step.pose)
+        covariance = composed.covariance
+        if step.variance > 0:
+            both = np.outer(common, step.by_scale / step.variance)
+            covariance = covariance + both + both.T
+        return ScaledPose(GaussianPose(composed.mean, covariance), common + step.by_scale, step.variance)
 
 
 @dataclass(frozen=True)

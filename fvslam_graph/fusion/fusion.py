@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 
-from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, ScaledPose, ScaleStep, Views
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.fusion.rule import FusionRule
@@ -15,34 +16,38 @@ class Fusion(ABC):
     """The reference P_f, from which both subsystems go on (the paper, section 3 and Fig. 1).
 
     Attributes:
-        reference: world_T_camera at the last frame where both were fused.
         graph: The factor graph, if there is one.
     """
 
     def __init__(self) -> None:
-        self.reference = GaussianPose.identity()
+        self._reference = ScaledPose.of(GaussianPose.identity())
         self.graph: Graph | None = None
         self._chain = OdometryChain()
 
     @property
+    def reference(self) -> GaussianPose:
+        """world_T_camera at the last frame where both were fused."""
+        return self._reference.pose
+
+    @property
     def motion(self) -> GaussianPose:
         """Motion since P_f, by odometry."""
-        return self._chain.motion
+        return self._chain.motion.pose
 
     @property
     def pose(self) -> GaussianPose:
         """world_T_camera of the newest frame: P_f, carried on by odometry."""
-        return self.reference.compose(self.motion)
+        return self._reference.compose(self._chain.motion).pose
 
     def add_odometry(
         self, frame: Frame, previous: int, prev_T_cur: GaussianPose, scale: ScaleStep | None, scale_variance: float
     ) -> None:
         """The motion of a frame, O_f; see `Graph.add_odometry`."""
-        self._chain.add(frame.index, previous, prev_T_cur)
+        self._chain.add(frame.index, previous, prev_T_cur, scale_variance)
 
     def start(self, pose: GaussianPose, views: Views) -> None:
         """Visual SLAM begins at the newest frame, at this pose world_T_camera."""
-        self.reference = pose
+        self._reference = replace(self._reference.compose(self._chain.motion), pose=pose)
         self._chain.anchor()
 
     def fuse(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
@@ -69,7 +74,7 @@ class SlamAlone(Fusion):
     """Visual SLAM as it is; odometry carries on from there to frames on which it does not run."""
 
     def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
-        self.reference = pose
+        self._reference = ScaledPose.of(pose)
         return motion
 
 
@@ -85,6 +90,8 @@ class RuleFusion(Fusion):
         self._rule = rule
 
     def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
-        fused = self.motion if views is None else self._rule(self.motion, motion)
-        self.reference = self.reference.compose(fused)
-        return fused
+        odometry = self._chain.motion
+        fused = odometry.pose if views is None else self._rule(odometry.pose, motion)
+        step = odometry if views is None else odometry.replaced(self._rule(odometry.pose, motion))
+        self._reference = self._reference.compose(step)
+        return step.pose

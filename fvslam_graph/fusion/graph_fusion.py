@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings, GroundSettings
-from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, ScaledPose, ScaleStep, Views
 from fvslam_graph.fusion.fusion import Fusion
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.sequences.base import Frame, Ground
@@ -93,7 +93,7 @@ class GraphFusion(Fusion):
             # What lies behind the last P_f in the scale in which it was published, the motion since in that of now.
             away = (self._published_scale() - 1) * self.graph.positions([before])[0]
         self._poses = {frame: _moved(self.graph.pose(frame), away) for frame in self._poses if self.graph.has(frame)}
-        self.reference = self._poses[self._newest]
+        self._reference = ScaledPose.of(self._poses[self._newest])
         if self._settings.online == "steady":
             self._left = math.exp(-1 / (self._newest - before))
             self._step = self._step + self._left * (expected - self.reference.mean.translation())
