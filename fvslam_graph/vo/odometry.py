@@ -26,6 +26,7 @@ from fvslam_graph.vo.estimate import VoEstimate, metric_pose
 from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.motion_model import ConstantVelocity
+from fvslam_graph.vo.plausibility import Plausibility, lost
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import MetricMap, MetricScale
 from fvslam_graph.vo.two_view import estimate_two_view, rays
@@ -48,12 +49,14 @@ class _Motion:
         tracks: Those that agree with it.
         map: Of the reference, with what was learnt.
         scale: Of the baseline, where it was estimated.
+        parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
     """
 
     ref_T_cur: GaussianPose
     tracks: Tracks
     map: MetricMap
     scale: ScaleStep | None = None
+    parallax: float = math.nan
 
 
 class VisualOdometry:
@@ -91,6 +94,7 @@ class VisualOdometry:
             aligner = GroundAligner(camera, ground.normal, ground.normal_sigma, config.scale.ground)
         self._scale = MetricScale(config.scale, aligner, true_baseline)
         self._motion_model = ConstantVelocity(config.vo)
+        self._plausibility = Plausibility()
         self._stopwatch = Stopwatch()
 
         self._reference: Frame | None = None
@@ -125,26 +129,34 @@ class VisualOdometry:
             return self._lose(frame)
         with self._stopwatch.stage("pose"):
             shaken = self._stands_still(tracks)
-            if shaken is not None:
-                return self._stand(frame, tracks, shaken)
-            rotation, unexplained = fit_rotation(
-                rays(self.camera, tracks.reference), rays(self.camera, tracks.current), self.camera.fx
-            )
-            parallax = float(np.median(unexplained))
-
-        motion = self._measure(frame, tracks, rotation, parallax)
-        if motion is None:
+        standing = None if shaken is None else self._stand(tracks, shaken)
+        measured = standing or self._measure(frame, tracks)
+        if measured is None:
             return self._lose(frame)
-        estimate = replace(self._accept(frame, motion), found=len(tracks), parallax=parallax)
+        motion = self._believed(frame, measured)
+        if motion is None:
+            return replace(self._coast(frame, Status.COASTED), found=len(tracks), parallax=measured.parallax)
+        estimate = self._accept(frame, motion) if standing is None else self._rest(frame, motion)
+        estimate = replace(estimate, found=len(tracks), parallax=motion.parallax)
 
-        far = motion.scale is not None and parallax > self.settings.keyframe_parallax
-        if far or self._is_worn_out(motion.tracks):
+        far = motion.scale is not None and motion.parallax > self.settings.keyframe_parallax
+        if standing is None and (far or self._is_worn_out(motion.tracks)):
             self._refer_to(frame, motion.tracks, estimate.map)
         elif not len(self._map):
             self._map = motion.map  # in whose scale motions from this reference go on
         return estimate
 
-    def _measure(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
+    def _measure(self, frame: Frame, tracks: Tracks) -> _Motion | None:
+        """What the image says of the motion, and how much parallax it has; None where nothing fits."""
+        with self._stopwatch.stage("pose"):
+            rotation, unexplained = fit_rotation(
+                rays(self.camera, tracks.reference), rays(self.camera, tracks.current), self.camera.fx
+            )
+            parallax = float(np.median(unexplained))
+        motion = self._move(frame, tracks, rotation, parallax)
+        return None if motion is None else replace(motion, parallax=parallax)
+
+    def _move(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
         """Two views where they tell most, else the map, else what is left; None where nothing fits."""
         far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
         located = self._locate(tracks)
@@ -155,6 +167,18 @@ class VisualOdometry:
         if far and located is not None:
             return self._move_in_map(tracks, located)
         return None if far else self._turn(tracks, rotation, parallax)
+
+    def _believed(self, frame: Frame, motion: _Motion) -> _Motion | None:
+        """The motion with what may be wrong about it; None where the camera can hardly have moved so."""
+        assert self._reference is not None
+        pose = self._plausibility.judged(
+            motion.ref_T_cur,
+            self._predict(frame),
+            frame.stamp,
+            self._reference.stamp,
+            self._motion_model.accelerations,
+        )
+        return None if pose is None else replace(motion, ref_T_cur=pose)
 
     def _is_worn_out(self, tracks: Tracks) -> bool:
         """Whether so few of the reference's points are left that another frame is to become the reference."""
@@ -177,15 +201,18 @@ class VisualOdometry:
         rotation, unexplained = fit_rotation(rays(self.camera, last), rays(self.camera, current), self.camera.fx)
         return rotation if np.median(unexplained) < self.settings.static_parallax else None
 
-    def _stand(self, frame: Frame, tracks: Tracks, shaken: gtsam.Rot3) -> VoEstimate:
+    def _stand(self, tracks: Tracks, shaken: gtsam.Rot3) -> _Motion:
         """No translation, with the uncertainty of a parallax that counts as none."""
         hidden = self.settings.static_parallax / self.camera.fx
         sigmas = np.repeat([hidden, hidden * self._typical_depth()], 3)
         step = GaussianPose(gtsam.Pose3(shaken, np.zeros(3)), np.diag(sigmas**2))
+        return _Motion(self._ref_T_last.compose(step), tracks, self._map)
+
+    def _rest(self, frame: Frame, motion: _Motion) -> VoEstimate:
+        """Take over that the camera stands; where it came to stand is kept, so that it does not drift."""
         self._motion_model.stop()
         self._last_stamp, self._failures = frame.stamp, 0
-        estimate = self._estimate(frame, self._ref_T_last.compose(step), Status.STATIC)
-        return replace(estimate, found=len(tracks), tracks=tracks)
+        return replace(self._estimate(frame, motion.ref_T_cur, Status.STATIC), tracks=motion.tracks)
 
     def _move_by_two_views(self, frame: Frame, tracks: Tracks, located: gtsam.Pose3 | None) -> _Motion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
@@ -272,7 +299,8 @@ class VisualOdometry:
         assert self._reference is not None
         # The mean since the reference: a difference of two poses that are near each other would be mostly noise.
         seconds = frame.stamp - self._reference.stamp
-        self._motion_model.observe(motion.ref_T_cur.mean, seconds, motion.map.variance)
+        passed = frame.stamp - self._last_stamp
+        self._motion_model.observe(motion.ref_T_cur.mean, seconds, motion.map.variance, passed)
         self._ref_T_last, self._last_stamp = motion.ref_T_cur, frame.stamp
         self._seen, self._failures = motion.tracks, 0
         estimate = self._estimate(frame, motion.ref_T_cur, Status.TRACKED)
@@ -291,11 +319,14 @@ class VisualOdometry:
         self._failures += 1
         if self._failures < PATIENCE and self._points >= self.settings.min_inliers:
             return self._coast(frame, Status.COASTED)
-        return self._refer_after(self._coast(frame, Status.REINITIALISED), frame)
+        estimate = self._coast(frame, Status.REINITIALISED)
+        pose = lost(estimate.prev_T_cur, self._typical_depth())
+        return self._refer_after(replace(estimate, prev_T_cur=pose), frame)
 
     def _refer_after(self, estimate: VoEstimate, frame: Frame) -> VoEstimate:
         """Begin anew at this frame, whose pose is that of the estimate."""
         self._refer_to(frame, Tracks.none(), MetricMap.empty())
+        self._motion_model.coast(frame.stamp - self._last_stamp)
         self._last_stamp = frame.stamp
         return estimate
 
@@ -314,6 +345,7 @@ class VisualOdometry:
         self._reference, self._map, self._points = frame, known, len(self._seen)
         self._ref_T_last = GaussianPose.identity()
         self._failures = 0
+        self._plausibility.forget()
 
     def _guess(self, unit: InverseDepths) -> LogScale:
         """The scale at which triangulated points are as far away as things usually are."""
