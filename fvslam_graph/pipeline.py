@@ -20,7 +20,7 @@ from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.fusion.interleave import Interleave
 from fvslam_graph.fusion.intersection import Intersection
 from fvslam_graph.results import FrameResult
-from fvslam_graph.sequences.base import Frame, Sequence
+from fvslam_graph.sequences.base import Frame, Newness, Sequence
 from fvslam_graph.slam.estimate import Outcome, SlamEstimate
 from fvslam_graph.slam.finder import LandmarkFinder
 from fvslam_graph.slam.patch_finder import PatchFinder
@@ -71,10 +71,11 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     fusion = _fusion(sequence, config)
     interleave = Interleave(config.interleave, config.slam.shorten)
+    newness = Newness()
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
         with stopwatch.stage("read"):
-            frame = sequence.frame(index)
+            frame = newness.checked(sequence.frame(index))
 
         # O_f: visual odometry, on every frame.
         odometry: VoEstimate | None = None

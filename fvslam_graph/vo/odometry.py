@@ -317,11 +317,10 @@ class VisualOdometry:
         if len(detect(texture, self._features)) < self.settings.min_inliers:
             return self._coast(frame, Status.COASTED)
         self._failures += 1
-        if self._failures < PATIENCE and self._points >= self.settings.min_inliers:
-            return self._coast(frame, Status.COASTED)
-        estimate = self._coast(frame, Status.REINITIALISED)
-        pose = lost(estimate.prev_T_cur, self._typical_depth())
-        return self._refer_after(replace(estimate, prev_T_cur=pose), frame)
+        patient = self._failures < PATIENCE and self._points >= self.settings.min_inliers
+        estimate = self._coast(frame, Status.COASTED if patient else Status.REINITIALISED)
+        estimate = replace(estimate, prev_T_cur=lost(estimate.prev_T_cur, self._typical_depth()))
+        return estimate if patient else self._refer_after(estimate, frame)
 
     def _refer_after(self, estimate: VoEstimate, frame: Frame) -> VoEstimate:
         """Begin anew at this frame, whose pose is that of the estimate."""

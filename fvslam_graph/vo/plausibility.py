@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from fvslam_graph.estimates import GaussianPose
 
-GATE = 100.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted
-AGREE = 22.458  # 99.9 % quantile of the chi-square distribution with six degrees of freedom
+GATE = 100.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted,
+AGREE = 22.458  # but once in doubt, less: 99.9 % quantile of the chi-square distribution with six degrees of freedom
 INSISTENCE = 3  # implausible motions in a row that agree with each other: what the images insist on is believed
 AGED = 3.0  # standard deviations, within which a velocity has become so old that it allows for another one
 LOST_SHARE = 0.25  # of cases in which a camera that has lost the scene went anywhere meanwhile,
@@ -74,7 +74,7 @@ class Plausibility:
             accelerations: (6,) standard deviations, rad/s^2 and m/s^2.
         """
         error, surprise = _difference(expected, measured)
-        if surprise > GATE:
+        if surprise > (AGREE if self._refused else GATE):
             self._refused = [*self._refused[1 - INSISTENCE :], _Measured(stamp, measured)]
             if not self._insisted(accelerations):
                 return None
