@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Collection
 from dataclasses import replace
 
 from fvslam_graph.estimates import GaussianPose, ScaledPose, ScaleStep, Views
@@ -40,10 +41,16 @@ class Fusion(ABC):
         return self._reference.compose(self._chain.motion).pose
 
     def add_odometry(
-        self, frame: Frame, previous: int, prev_T_cur: GaussianPose, scale: ScaleStep | None, scale_variance: float
+        self,
+        frame: Frame,
+        previous: int,
+        prev_T_cur: GaussianPose,
+        scale: ScaleStep | None,
+        scale_variance: float,
+        awaited: Collection[int] = (),
     ) -> None:
-        """The motion of a frame, O_f; see `Graph.add_odometry`."""
-        self._chain.add(frame.index, previous, prev_T_cur, scale_variance)
+        """The motion of a frame, O_f; see `Graph.add_odometry` and `OdometryChain.add`."""
+        self._chain.add(frame.index, previous, prev_T_cur, scale_variance, awaited)
 
     def start(self, pose: GaussianPose, views: Views) -> None:
         """Visual SLAM begins at the newest frame, at this pose world_T_camera."""
@@ -62,7 +69,7 @@ class Fusion(ABC):
             The motion since the last P_f.
         """
         fused = self._fused(pose, motion, views)
-        self._chain.anchor()
+        self._chain.anchor(fused)
         return fused
 
     @abstractmethod

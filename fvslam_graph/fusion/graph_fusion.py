@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import gtsam
 import numpy as np
@@ -54,10 +55,16 @@ class GraphFusion(Fusion):
         self._step, self._left = np.zeros(3), 0.0
 
     def add_odometry(
-        self, frame: Frame, previous: int, prev_T_cur: GaussianPose, scale: ScaleStep | None, scale_variance: float
+        self,
+        frame: Frame,
+        previous: int,
+        prev_T_cur: GaussianPose,
+        scale: ScaleStep | None,
+        scale_variance: float,
+        awaited: Collection[int] = (),
     ) -> None:
         """The motion of a frame, and the height above level ground, if this is asked for."""
-        super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance)
+        super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance, awaited)
         self._newest = frame.index
         self._step = self._left * self._step
         motion = self.graph.add_odometry(frame.stamp, previous, prev_T_cur, scale, scale_variance)

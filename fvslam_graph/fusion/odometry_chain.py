@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from fvslam_graph.estimates import GaussianPose, ScaledPose
@@ -17,7 +19,7 @@ class OdometryChain:
     """
 
     def __init__(self) -> None:
-        self._since: dict[int, ScaledPose] = {}  # anchor_T_frame of the newest frame and of the one before it
+        self._since: dict[int, ScaledPose] = {}  # anchor_T_frame of those that matter
         self._newest = (0, 0)  # previous, index
         self._motion = GaussianPose.identity()
 
@@ -26,15 +28,38 @@ class OdometryChain:
         """anchor_T_frame of the newest frame."""
         return self._since[self._newest[1]]
 
-    def add(self, index: int, previous: int, prev_T_cur: GaussianPose, scale_variance: float = 0.0) -> None:
-        """Append frame `index`, whose motion was measured against frame `previous`, in a scale of this log variance."""
+    def add(
+        self,
+        index: int,
+        previous: int,
+        prev_T_cur: GaussianPose,
+        scale_variance: float = 0.0,
+        awaited: Collection[int] = (),
+    ) -> None:
+        """Append a motion.
+
+        Args:
+            index: Of its frame,
+            previous: and of the frame that it was measured against.
+            prev_T_cur: The motion,
+            scale_variance: and how much variance of the logarithm of its length its covariance contains.
+            awaited: Frames besides these two, against which motions to come may be measured.
+        """
         nowhere = ScaledPose.of(GaussianPose.identity())
         start = self._since[previous] if previous < index else nowhere  # the first usable image
-        self._since = {previous: start, index: start.compose(ScaledPose.of(prev_T_cur, scale_variance))}
+        kept = {frame: pose for frame, pose in self._since.items() if frame in awaited}
+        end = start.compose(ScaledPose.of(prev_T_cur, scale_variance))
+        self._since = kept | {previous: start, index: end}
         self._newest, self._motion = (previous, index), prev_T_cur
 
-    def anchor(self) -> None:
-        """Make the newest frame the anchor; motions to come may still be measured against the one before it."""
+    def anchor(self, moved: GaussianPose | None = None) -> None:
+        """Make the newest frame the anchor; motions to come may still be measured against frames before it.
+
+        Args:
+            moved: Where it is in the old one, if something knows that better than these motions.
+        """
         previous, index = self._newest
+        back = (moved or self.motion.pose).inverse()
         before = GaussianPose(self._motion.mean.inverse(), np.zeros((6, 6)))
-        self._since = {previous: ScaledPose.of(before), index: ScaledPose.of(GaussianPose.identity())}
+        self._since = {frame: ScaledPose.of(back.compose(pose.pose)) for frame, pose in self._since.items()}
+        self._since |= {previous: ScaledPose.of(before), index: ScaledPose.of(GaussianPose.identity())}

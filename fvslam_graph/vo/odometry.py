@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -34,6 +36,8 @@ from fvslam_graph.vo.two_view import estimate_two_view, rays
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1
 ENOUGH = 2  # times the inliers needed: fewer tracks, and none is left apart
+MEMORY = 3.0  # seconds for which a lost reference is looked for,
+REMEMBERED = 2  # and so many of them
 PATIENCE = 3  # textured images in a row that do not fit the reference before it is given up
 GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
 GUESS = 1.0  # variance of the logarithm of such a distance
@@ -57,6 +61,23 @@ class _Motion:
     map: MetricMap
     scale: ScaleStep | None = None
     parallax: float = math.nan
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """A reference that was lost, with all that it takes to go on from it.
+
+    Attributes:
+        frame, points, map: Its image, how many points it has, and what is known of their depths.
+        association: Finds these points.
+        stamp: Until when it was tracked.
+    """
+
+    frame: Frame
+    points: int
+    map: MetricMap
+    association: Association
+    stamp: float
 
 
 class VisualOdometry:
@@ -104,6 +125,7 @@ class VisualOdometry:
         self._last_stamp = math.nan
         self._first = 0  # index of the first frame
         self._seen = Tracks.none()  # where the points were when the camera last moved
+        self._lost: deque[_Reference] = deque(maxlen=REMEMBERED)
         self._failures = 0  # usable images in a row that did not fit the reference
         self._apart = np.empty(0, np.int64)  # tracks not to be used for the motion
 
@@ -123,6 +145,8 @@ class VisualOdometry:
         if self._reference is None:
             return self._refer_after(self._coast(frame, Status.STATIC), frame)
 
+        if (found := self._found_again(frame)) is not None:
+            return found
         with self._stopwatch.stage("association"):
             tracks = self._association.track(frame.image)
         if len(tracks) < self.settings.min_inliers:
@@ -159,13 +183,13 @@ class VisualOdometry:
     def _move(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
         """Two views where they tell most, else the map, else what is left; None where nothing fits."""
         far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
-        located = self._locate(tracks)
-        if not far and located is not None and (motion := self._move_in_map(tracks, located)):
+        located = self._locate(tracks, self._map)
+        if not far and located is not None and (motion := self._move_in_map(tracks, located, self._map)):
             return motion
         if some and (motion := self._move_by_two_views(frame, tracks, located)):
             return motion
         if far and located is not None:
-            return self._move_in_map(tracks, located)
+            return self._move_in_map(tracks, located, self._map)
         return None if far else self._turn(tracks, rotation, parallax)
 
     def _believed(self, frame: Frame, motion: _Motion) -> _Motion | None:
@@ -250,27 +274,27 @@ class VisualOdometry:
             )
         return _Motion(metric_pose(two_view, scale.length), tracks, known, scale)
 
-    def _locate(self, tracks: Tracks) -> gtsam.Pose3 | None:
+    def _locate(self, tracks: Tracks, known: MetricMap) -> gtsam.Pose3 | None:
         """Roughly where the camera is among the points of known depth."""
-        mine, theirs = self._map.depths.common(tracks.ids)
+        mine, theirs = known.depths.common(tracks.ids)
         used = self._used(tracks)[theirs]
-        depths, known = self._map.depths[mine[used]], tracks[theirs[used]]
-        points = rays(self.camera, known.reference) / depths.values[:, None]
+        depths, seen = known.depths[mine[used]], tracks[theirs[used]]
+        points = rays(self.camera, seen.reference) / depths.values[:, None]
         with self._stopwatch.stage("pose"):
-            return locate(points, known.current, self.camera, self.settings, self._seed())
+            return locate(points, seen.current, self.camera, self.settings, self._seed())
 
-    def _move_in_map(self, tracks: Tracks, located: gtsam.Pose3) -> _Motion | None:
+    def _move_in_map(self, tracks: Tracks, located: gtsam.Pose3, known: MetricMap) -> _Motion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
         used = self._used(tracks)
         with self._stopwatch.stage("pose"):
             seen = rays(self.camera, tracks.reference)
-            depths = self._map.depths.of(tracks.ids)
+            depths = known.depths.of(tracks.ids)
             refined = refine(located, seen[used], tracks[used], depths[used], self.camera)
         if refined is None or refined.agree.sum() < self.settings.min_inliers:
             return None
         kept = ~used
         kept[used] = refined.agree
-        tracks, known = tracks[kept], self._map
+        tracks = tracks[kept]
         if self._is_worn_out(tracks):  # what is left of the reference is triangulated while it can be
             new = tracks[~np.isin(tracks.ids, known.depths.ids)]
             unit = triangulate(
@@ -320,7 +344,42 @@ class VisualOdometry:
         patient = self._failures < PATIENCE and self._points >= self.settings.min_inliers
         estimate = self._coast(frame, Status.COASTED if patient else Status.REINITIALISED)
         estimate = replace(estimate, prev_T_cur=lost(estimate.prev_T_cur, self._typical_depth()))
-        return estimate if patient else self._refer_after(estimate, frame)
+        if patient:
+            return estimate
+        if self._reference is not None and len(self._map) >= self.settings.min_inliers:
+            association = copy(self._association)
+            self._lost.append(_Reference(self._reference, self._points, self._map, association, self._last_stamp))
+        return replace(self._refer_after(estimate, frame), awaited=self._awaited)
+
+    @property
+    def _awaited(self) -> tuple[int, ...]:
+        """Indices of the references that were lost and are looked for."""
+        return tuple(lost.frame.index for lost in self._lost)
+
+    def _found_again(self, frame: Frame) -> VoEstimate | None:
+        """The motion from a reference that was lost, where this image fits it."""
+        while self._lost and frame.stamp - self._lost[0].stamp > MEMORY:
+            self._lost.popleft()
+        for reference in list(self._lost):
+            motion = self._return_to(reference, frame)
+            if motion is not None:
+                self._lost.clear()
+                self._reference, self._last_stamp = reference.frame, reference.stamp
+                estimate = self._accept(frame, motion)
+                self._refer_to(frame, motion.tracks, estimate.map)
+                return estimate
+        return None
+
+    def _return_to(self, reference: _Reference, frame: Frame) -> _Motion | None:
+        """The motion from another reference, if enough of its points are found, and most of these agree."""
+        assert frame.image is not None
+        with self._stopwatch.stage("association"):
+            tracks = reference.association.track(frame.image)
+        if len(tracks) < ENOUGH * self.settings.min_inliers:
+            return None
+        located = self._locate(tracks, reference.map)
+        motion = None if located is None else self._move_in_map(tracks, located, reference.map)
+        return motion if motion and len(motion.tracks) >= self.settings.keyframe_tracks * len(tracks) else None
 
     def _refer_after(self, estimate: VoEstimate, frame: Frame) -> VoEstimate:
         """Begin anew at this frame, whose pose is that of the estimate."""
@@ -366,4 +425,6 @@ class VisualOdometry:
 
     def _estimate(self, frame: Frame, ref_T_cur: GaussianPose, status: Status) -> VoEstimate:
         reference = self._first if self._reference is None else self._reference.index
-        return VoEstimate(frame.index, reference, ref_T_cur, status, times=self._stopwatch.times)
+        return VoEstimate(
+            frame.index, reference, ref_T_cur, status, awaited=self._awaited, times=self._stopwatch.times
+        )
