@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.estimates import GaussianPose
 
-GATE = 100.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted,
+GATE = 225.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted,
 AGREE = 22.458  # but once in doubt, less: 99.9 % quantile of the chi-square distribution with six degrees of freedom
 INSISTENCE = 3  # implausible motions in a row that agree with each other: what the images insist on is believed
 AGED = 3.0  # standard deviations, within which a velocity has become so old that it allows for another one
