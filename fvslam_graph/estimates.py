@@ -10,6 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+CARRIED = 0.25  # share of cases in which a camera that has lost the scene went anywhere meanwhile,
+TURNED = 1.0  # by so many rad (deviation), and as far as the scene was away
 VAGUE = 0.2**2  # variance of the logarithm of a scale from which on it tells nothing
 
 
@@ -44,6 +46,16 @@ class GaussianPose:
     def with_scale_variance(self, variance: float) -> GaussianPose:
         """The same with so much more variance of the logarithm of its length; less, where it is negative."""
         return GaussianPose(self.mean, self.covariance + variance * np.outer(self.travel, self.travel))
+
+    def carried(self, distance: float) -> GaussianPose:
+        """The same where nothing of the scene, `distance` metres away, was found again; the mean is a motion model's.
+
+        Nobody knows how far the camera was carried: mostly it is where it was expected. But that nothing of the scene
+        is in view suggests that it may have gone as far as the scene was away, or have turned from it. This is the
+        covariance of a mixture of both.
+        """
+        sigmas = np.repeat([TURNED, distance], 3)
+        return GaussianPose(self.mean, self.covariance + CARRIED * np.diag(sigmas**2))
 
     def inverse(self) -> GaussianPose:
         """b_T_a."""

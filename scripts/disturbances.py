@@ -103,7 +103,9 @@ def main(
         disturbed = DISTURBANCES[name](sequence, round(at * len(sequence)), np.random.default_rng(seed))
         config = applicable(config, disturbed.sequence)
         row = judge(disturbed, list(estimate(disturbed.sequence, config)), config.scale.relative)
-        during, later = (row.inside(part) for part in (slice(disturbed.first, disturbed.after), slice(disturbed.after, None)))
+        during, later = (
+            row.inside(part) for part in (slice(disturbed.first, disturbed.after), slice(disturbed.after, None))
+        )
         last = np.flatnonzero(np.isfinite(row.error))[-1]
         print(
             f"{name:11} {row.error[last]:9.3f} {row.sigma[last]:9.3f} {np.nanmax(row.error):9.3f} "

@@ -48,7 +48,9 @@ class ConstantVelocity:
         sigma = float(self.accelerations[3]) * (self._age + seconds / 2) * seconds
         return LogScale(math.log(metres), self.log_variance + (sigma / metres) ** 2)
 
-    def observe(self, last_T_cur: gtsam.Pose3, seconds: float, log_variance: float, passed: float | None = None) -> None:
+    def observe(
+        self, last_T_cur: gtsam.Pose3, seconds: float, log_variance: float, passed: float | None = None
+    ) -> None:
         """Take over the velocity of a measured motion, whose scale has a variance.
 
         Args:

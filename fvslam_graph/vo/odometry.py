@@ -28,7 +28,7 @@ from fvslam_graph.vo.estimate import VoEstimate, metric_pose
 from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.motion_model import ConstantVelocity
-from fvslam_graph.vo.plausibility import Plausibility, lost
+from fvslam_graph.vo.plausibility import Plausibility
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import MetricMap, MetricScale
 from fvslam_graph.vo.two_view import estimate_two_view, rays
@@ -343,7 +343,7 @@ class VisualOdometry:
         self._failures += 1
         patient = self._failures < PATIENCE and self._points >= self.settings.min_inliers
         estimate = self._coast(frame, Status.COASTED if patient else Status.REINITIALISED)
-        estimate = replace(estimate, prev_T_cur=lost(estimate.prev_T_cur, self._typical_depth()))
+        estimate = replace(estimate, prev_T_cur=estimate.prev_T_cur.carried(self._typical_depth()))
         if patient:
             return estimate
         if self._reference is not None and len(self._map) >= self.settings.min_inliers:
@@ -425,6 +425,4 @@ class VisualOdometry:
 
     def _estimate(self, frame: Frame, ref_T_cur: GaussianPose, status: Status) -> VoEstimate:
         reference = self._first if self._reference is None else self._reference.index
-        return VoEstimate(
-            frame.index, reference, ref_T_cur, status, awaited=self._awaited, times=self._stopwatch.times
-        )
+        return VoEstimate(frame.index, reference, ref_T_cur, status, awaited=self._awaited, times=self._stopwatch.times)

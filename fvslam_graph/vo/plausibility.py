@@ -14,8 +14,6 @@ GATE = 225.0  # squared deviations: accelerations have heavy tails, and jolts ar
 AGREE = 22.458  # but once in doubt, less: 99.9 % quantile of the chi-square distribution with six degrees of freedom
 INSISTENCE = 3  # implausible motions in a row that agree with each other: what the images insist on is believed
 AGED = 3.0  # standard deviations, within which a velocity has become so old that it allows for another one
-LOST_SHARE = 0.25  # of cases in which a camera that has lost the scene went anywhere meanwhile,
-LOST_ROTATION = 1.0  # by so many rad (deviation), and as far as the scene was away
 
 Array = NDArray[np.float64]
 
@@ -102,16 +100,6 @@ class Plausibility:
         sigmas = accelerations * (ahead + behind) / 2 * ahead
         expected = second.pose.compose(GaussianPose(gtsam.Pose3.Expmap(velocity * ahead), np.diag(sigmas**2)))
         return _difference(expected, third.pose)[1] < AGREE
-
-
-def lost(pose: GaussianPose, distance: float) -> GaussianPose:
-    """A pose by the motion model where nothing of the scene was found again: some other forces were at work, perhaps.
-
-    Nobody knows how far the camera was carried. That nothing of the scene is in view suggests that it was as far as
-    the scene was away, `distance` in metres, or that the camera was turned away.
-    """
-    sigmas = np.repeat([LOST_ROTATION, distance], 3)
-    return GaussianPose(pose.mean, pose.covariance + LOST_SHARE * np.diag(sigmas**2))
 
 
 def _difference(expected: GaussianPose, measured: GaussianPose) -> tuple[Array, float]:
