@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -66,7 +66,12 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
         ConfigError: The scale source needs what the sequence does not have.
     """
     baseline = eyes.baseline if eyes else _true_baseline(sequence, config)
-    vo = VisualOdometry(sequence.camera, config, sequence.ground, baseline, eyes.association if eyes else None)
+
+    def odometry_from_here() -> VisualOdometry:
+        return VisualOdometry(sequence.camera, config, sequence.ground, baseline, eyes.association if eyes else None)
+
+    vo = odometry_from_here()
+    rescue: VisualOdometry | None = None
     finder = eyes.finder if eyes else PatchFinder(sequence.camera, config.features, config.slam)
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     fusion = _fusion(sequence, config)
@@ -102,6 +107,15 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
                 motion = fusion.fuse(slam.pose, slam.prev_T_cur, slam.views if found else None)
             if config.mode is not Mode.VSLAM:
                 vslam.rebase(fusion.reference)
+
+            # A map that V-SLAM made on its own knows no metres: where odometry can tell them, it does so once more.
+            telling = not config.needs_odometry and not config.scale.relative
+            if status is Status.REINITIALISED and telling and rescue is None:
+                rescue = odometry_from_here()
+            if rescue is not None:
+                anew = _start(vslam, frame, rescue.step(frame), fusion.pose, sequence, config)
+                if anew is not None:
+                    rescue, slam = None, replace(anew, previous=previous, prev_T_cur=motion, status=status)
 
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})

@@ -12,7 +12,7 @@ from threadpoolctl import ThreadpoolController
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import SlamSettings
-from fvslam_graph.estimates import CARRIED, GaussianPose
+from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.patches import MARGIN
 from fvslam_graph.sequences.base import Frame
@@ -129,7 +129,7 @@ class VSlam:
     def start(
         self, frame: Frame, pose: GaussianPose, prev_T_cur: GaussianPose, seconds: float, points: KnownPoints
     ) -> SlamEstimate:
-        """Begin with landmarks among points of known depth.
+        """Begin, or begin anew, with landmarks among points of known depth.
 
         Args:
             frame: The first frame.
@@ -139,6 +139,7 @@ class VSlam:
             points: Of this frame.
         """
         self._stopwatch = Stopwatch()
+        self._failures, self._seen = 0, None
         state = predict_from_odometry(State.at(pose.mean, pose.covariance), prev_T_cur, seconds)
         state = self._map.grown(state, frame, points, self._map_T_camera)
         return self._arrive(frame, state, prev_T_cur, Searched.none(), Status.TRACKED, frame.index)
@@ -311,7 +312,7 @@ class VSlam:
         self._lost = self._lost or self._seen
         self._map.awaited = self._lost.state.ids if self._lost else self._map.awaited
         distance = self._map.distance
-        covariance = CARRIED * np.diag(np.repeat([UNKNOWN_RATE, UNKNOWN_RATE * distance], 3) ** 2)
+        covariance = np.diag(np.repeat([UNKNOWN_RATE, UNKNOWN_RATE * distance], 3) ** 2)
         travel = GaussianPose(gtsam.Pose3.Expmap(state.velocity), covariance + state.covariance[VELOCITY, VELOCITY])
         pose = GaussianPose(state.world_T_camera, state.covariance[POSE, POSE]).carried(distance)
         alone = State.at(pose.mean, pose.covariance)
