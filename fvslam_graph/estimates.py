@@ -69,19 +69,26 @@ class ScaledPose:
     """A pose at the end of a path whose lengths have a scale that errs likewise from one motion to the next.
 
     Attributes:
-        pose: a_T_b, with all its uncertainty.
+        pose: a_T_b, as if the motions were independent.
+        common: (6, 6) what its covariance is more, or less, as they are not.
         by_scale: (6,) covariance of its error and that of the logarithm of the last motion's scale,
         variance: and the variance of this.
     """
 
     pose: GaussianPose
+    common: NDArray[np.float64]
     by_scale: NDArray[np.float64]
     variance: float
 
     @classmethod
     def of(cls, pose: GaussianPose, variance: float = 0.0) -> Self:
         """One motion, whose covariance contains so much variance of the logarithm of its length."""
-        return cls(pose, variance * pose.travel, variance)
+        return cls(pose, np.zeros((6, 6)), variance * pose.travel, variance)
+
+    @property
+    def whole(self) -> GaussianPose:
+        """a_T_b with all its uncertainty."""
+        return GaussianPose(self.pose.mean, self.pose.covariance + self.common)
 
     def replaced(self, pose: GaussianPose) -> ScaledPose:
         """Another estimate of the same motion, with as much of the scale's error as its covariance has room for."""
@@ -90,7 +97,7 @@ class ScaledPose:
         direction = self.by_scale / self.variance
         known = float(direction @ np.linalg.pinv(pose.covariance, hermitian=True) @ direction)
         variance = min(self.variance, 1 / known) if known > 0 else 0.0
-        return ScaledPose(pose, variance * direction, variance)
+        return ScaledPose(pose, np.zeros((6, 6)), variance * direction, variance)
 
     def compose(self, step: ScaledPose) -> ScaledPose:
         """a_T_c of this a_T_b and b_T_c, which is independent of it but for the scale.
@@ -99,13 +106,10 @@ class ScaledPose:
         its errors have in common is the variance of the one that is known better.
         """
         adjoint = step.pose.mean.inverse().AdjointMap()
-        common = adjoint @ self.by_scale * (min(1.0, step.variance / self.variance) if self.variance > 0 else 0.0)
-        composed = self.pose.compose(step.pose)
-        covariance = composed.covariance
-        if step.variance > 0:
-            both = np.outer(common, step.by_scale / step.variance)
-            covariance = covariance + both + both.T
-        return ScaledPose(GaussianPose(composed.mean, covariance), common + step.by_scale, step.variance)
+        carried = adjoint @ self.by_scale * (min(1.0, step.variance / self.variance) if self.variance > 0 else 0.0)
+        both = np.outer(carried, step.by_scale / step.variance) if step.variance > 0 else np.zeros((6, 6))
+        common = adjoint @ self.common @ adjoint.T + step.common + both + both.T
+        return ScaledPose(self.pose.compose(step.pose), common, carried + step.by_scale, step.variance)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ class Fusion(ABC):
     @property
     def reference(self) -> GaussianPose:
         """world_T_camera at the last frame where both were fused."""
-        return self._reference.pose
+        return self._reference.whole
 
     @property
     def motion(self) -> GaussianPose:
@@ -38,7 +38,7 @@ class Fusion(ABC):
     @property
     def pose(self) -> GaussianPose:
         """world_T_camera of the newest frame: P_f, carried on by odometry."""
-        return self._reference.compose(self._chain.motion).pose
+        return self._reference.compose(self._chain.motion).whole
 
     def add_odometry(
         self,
@@ -54,7 +54,8 @@ class Fusion(ABC):
 
     def start(self, pose: GaussianPose, views: Views) -> None:
         """Visual SLAM begins at the newest frame, at this pose world_T_camera."""
-        self._reference = replace(self._reference.compose(self._chain.motion), pose=pose)
+        path = self._reference.compose(self._chain.motion)
+        self._reference = replace(path, pose=replace(pose, covariance=pose.covariance - path.common))
         self._chain.anchor()
 
     def fuse(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
@@ -98,7 +99,6 @@ class RuleFusion(Fusion):
 
     def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
         odometry = self._chain.motion
-        fused = odometry.pose if views is None else self._rule(odometry.pose, motion)
-        step = odometry if views is None else odometry.replaced(self._rule(odometry.pose, motion))
+        step = odometry if views is None else odometry.replaced(self._rule(odometry.whole, motion))
         self._reference = self._reference.compose(step)
-        return step.pose
+        return step.whole

@@ -59,7 +59,7 @@ class OdometryChain:
             moved: Where it is in the old one, if something knows that better than these motions.
         """
         previous, index = self._newest
-        back = (moved or self.motion.pose).inverse()
+        back = (moved or self.motion.whole).inverse()
         before = GaussianPose(self._motion.mean.inverse(), np.zeros((6, 6)))
-        self._since = {frame: ScaledPose.of(back.compose(pose.pose)) for frame, pose in self._since.items()}
+        self._since = {frame: ScaledPose.of(back.compose(pose.whole)) for frame, pose in self._since.items()}
         self._since |= {previous: ScaledPose.of(before), index: ScaledPose.of(GaussianPose.identity())}
