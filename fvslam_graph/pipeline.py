@@ -88,7 +88,8 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
             odometry = vo.step(frame, vslam.tracks if config.tracks_apart else None)
             previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
             scale, variance, awaited = odometry.scale, odometry.map.variance, odometry.awaited
-            fusion.add_odometry(frame, previous, motion, scale, variance, awaited)
+            measured = status in (Status.TRACKED, Status.STATIC)
+            fusion.add_odometry(frame, previous, motion, scale, variance, awaited, measured)
 
         # S_f: visual SLAM, on every k-th frame, from where odometry first knows enough to start it.
         slam: SlamEstimate | None = None

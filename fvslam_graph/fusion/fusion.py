@@ -48,9 +48,10 @@ class Fusion(ABC):
         scale: ScaleStep | None,
         scale_variance: float,
         awaited: Collection[int] = (),
+        measured: bool = True,
     ) -> None:
         """The motion of a frame, O_f; see `Graph.add_odometry` and `OdometryChain.add`."""
-        self._chain.add(frame.index, previous, prev_T_cur, scale_variance, awaited)
+        self._chain.add(frame.index, previous, prev_T_cur, scale_variance, awaited, measured)
 
     def start(self, pose: GaussianPose, views: Views) -> None:
         """Visual SLAM begins at the newest frame, at this pose world_T_camera."""

@@ -62,9 +62,10 @@ class GraphFusion(Fusion):
         scale: ScaleStep | None,
         scale_variance: float,
         awaited: Collection[int] = (),
+        measured: bool = True,
     ) -> None:
         """The motion of a frame, and the height above level ground, if this is asked for."""
-        super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance, awaited)
+        super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance, awaited, measured)
         self._newest = frame.index
         self._step = self._left * self._step
         motion = self.graph.add_odometry(frame.stamp, previous, prev_T_cur, scale, scale_variance)

@@ -21,7 +21,7 @@ class OdometryChain:
     def __init__(self) -> None:
         self._since: dict[int, ScaledPose] = {}  # anchor_T_frame of those that matter
         self._newest = (0, 0)  # previous, index
-        self._motion = GaussianPose.identity()
+        self._motion, self._measured = GaussianPose.identity(), True
 
     @property
     def motion(self) -> ScaledPose:
@@ -35,6 +35,7 @@ class OdometryChain:
         prev_T_cur: GaussianPose,
         scale_variance: float = 0.0,
         awaited: Collection[int] = (),
+        measured: bool = True,
     ) -> None:
         """Append a motion.
 
@@ -44,13 +45,14 @@ class OdometryChain:
             prev_T_cur: The motion,
             scale_variance: and how much variance of the logarithm of its length its covariance contains.
             awaited: Frames besides these two, against which motions to come may be measured.
+            measured: Whether images tell it; a motion model's has no noise in common with others.
         """
         nowhere = ScaledPose.of(GaussianPose.identity())
         start = self._since[previous] if previous < index else nowhere  # the first usable image
         kept = {frame: pose for frame, pose in self._since.items() if frame in awaited}
         end = start.compose(ScaledPose.of(prev_T_cur, scale_variance))
         self._since = kept | {previous: start, index: end}
-        self._newest, self._motion = (previous, index), prev_T_cur
+        self._newest, self._motion, self._measured = (previous, index), prev_T_cur, measured
 
     def anchor(self, moved: GaussianPose | None = None) -> None:
         """Make the newest frame the anchor; motions to come may still be measured against frames before it.
@@ -60,6 +62,8 @@ class OdometryChain:
         """
         previous, index = self._newest
         back = (moved or self.motion.whole).inverse()
-        before = GaussianPose(self._motion.mean.inverse(), np.zeros((6, 6)))
+        before = self._motion.inverse()
+        if self._measured:
+            before = GaussianPose(before.mean, np.zeros((6, 6)))
         self._since = {frame: ScaledPose.of(back.compose(pose.whole)) for frame, pose in self._since.items()}
         self._since |= {previous: ScaledPose.of(before), index: ScaledPose.of(GaussianPose.identity())}

@@ -86,3 +86,33 @@ def test_nothing_usable_at_first():
         chain.add(index, 0, step(index))  # coasting from a start that no image has shown
     chain.add(3, 3, step(3))
     assert chain.motion.pose.mean.equals(step(3).mean, 1e-12)
+
+
+@pytest.mark.parametrize("anchored", [False, True])
+def test_a_motion_from_a_frame_that_was_lost(anchored):
+    """Frame 1 is lost, frame 2 not where it is thought to be, and frame 4 is measured against frame 1 again."""
+    chain = OdometryChain()
+    chain.add(0, 0, GaussianPose.identity())
+    chain.add(1, 0, step(1))
+    vague = GaussianPose(step(2).mean, 100 * np.eye(6))
+    chain.add(2, 1, vague, awaited=(1,), measured=False)
+    if anchored:
+        chain.anchor()
+    chain.add(3, 2, step(3), awaited=(1,))
+    chain.add(4, 1, step(4))
+    expected = step(1).mean.compose(step(4).mean)
+    if anchored:
+        expected = step(1).mean.compose(vague.mean).between(expected)
+    assert chain.motion.whole.mean.equals(expected, 1e-9)
+    # What was vague does not matter any more, unless the anchor is where it ended.
+    assert bool(np.trace(chain.motion.whole.covariance) > 100) == anchored
+
+
+def test_an_anchor_that_something_else_knows_better():
+    chain = OdometryChain()
+    chain.add(0, 0, GaussianPose.identity())
+    chain.add(1, 0, step(1), awaited=(0,))
+    chain.add(2, 1, step(2), awaited=(0,))
+    chain.anchor(step(5))
+    chain.add(3, 0, step(3))
+    assert chain.motion.whole.mean.equals(step(5).mean.between(step(3).mean), 1e-9)

@@ -136,8 +136,8 @@ def test_a_blind_moment_is_passed_over():
     status = {estimate.index: estimate.status for estimate in estimates}
     assert [status[i] for i in (9, 10, 11, 12)] == [Status.TRACKED, Status.COASTED, Status.COASTED, Status.TRACKED]
     traces = {estimate.index: np.trace(estimate.pose.covariance) for estimate in estimates}
-    assert traces[11] > 2 * traces[10] and traces[10] > 1.3 * traces[9]  # measured 3.7 and 1.6
-    assert traces[12] < traces[11]  # the map is still there
+    assert min(traces[10], traces[11]) > 50 * traces[9]  # the camera may have been carried away
+    assert traces[12] < 3 * traces[9]  # the map is still there
     errors, covariances = pose_errors(scene, estimates)
     assert nees(errors, covariances)[0].max() < 40
 
