@@ -13,9 +13,10 @@ class OdometryChain:
     """Composes motions, each measured against an earlier frame, into the motion since an anchor frame.
 
     The first frame is the first anchor. Motions are taken as independent of each other, but for the scale of their
-    lengths, and for two against the same frame. Where a motion to the anchor and one past it both begin before it, the second counts with its covariance, the
-    first with none: they share the noise of the frame where they begin, and where tracks go on from where they were
-    found, all of the first is in the second. As long as at least half of it is, their difference errs by no more.
+    lengths, and for two against the same frame. Where a motion to the anchor and one past it both begin before it, the
+    second counts with its covariance, the first with none: they share the noise of the frame where they begin, and
+    where tracks go on from where they were found, all of the first is in the second. As long as at least half of it is,
+    their difference errs by no more.
     """
 
     def __init__(self) -> None:

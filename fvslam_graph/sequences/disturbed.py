@@ -1,4 +1,4 @@
-"""Recordings with something wrong in the middle, made from sound ones: what a camera, its driver or the world may do."""
+"""Recordings with something wrong in the middle, made from sound ones: by camera, driver or world."""
 
 from __future__ import annotations
 

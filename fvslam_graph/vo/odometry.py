@@ -202,7 +202,13 @@ class VisualOdometry:
             self._reference.stamp,
             self._motion_model.accelerations,
         )
-        return None if pose is None else replace(motion, ref_T_cur=pose)
+        if pose is None:
+            return None
+        if self._plausibility.insisted and motion.scale is not None:
+            # Where the motion is doubtful, so is the scale in which it was triangulated.
+            known = MetricMap(motion.map.depths, motion.map.variance + GUESS)
+            return replace(motion, ref_T_cur=pose.with_scale_variance(GUESS), map=known)
+        return replace(motion, ref_T_cur=pose)
 
     def _is_worn_out(self, tracks: Tracks) -> bool:
         """Whether so few of the reference's points are left that another frame is to become the reference."""

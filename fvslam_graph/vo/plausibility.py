@@ -58,6 +58,7 @@ class Plausibility:
         self._refused: list[_Measured] = []  # in a row
         self._doubts: list[_Doubt] = []
         self._believed = 0.0  # stamp of the last motion that was
+        self.insisted = False  # whether it was only since the images insisted
 
     def judged(
         self, measured: GaussianPose, expected: GaussianPose, stamp: float, start: float, accelerations: Array
@@ -72,10 +73,12 @@ class Plausibility:
             accelerations: (6,) standard deviations, rad/s^2 and m/s^2.
         """
         error, surprise = _difference(expected, measured)
+        self.insisted = False
         if surprise > (AGREE if self._refused else GATE):
             self._refused = [*self._refused[1 - INSISTENCE :], _Measured(stamp, measured)]
             if not self._insisted(accelerations):
                 return None
+            self.insisted = True
             twist = error / (stamp - self._believed)
             seconds = float(np.linalg.norm(twist / accelerations)) / AGED
             self._doubts.append(_Doubt(self._believed, twist, max(seconds, stamp - self._believed)))

@@ -167,6 +167,19 @@ def test_a_lost_map_is_rebuilt_and_the_pose_kept():
     assert np.trace(by_index[20].pose.covariance) > np.trace(by_index[9].pose.covariance)
 
 
+def test_a_lost_map_is_found_again():
+    """In the meantime, the camera may have been carried away, and the next map has a scale of its own."""
+    scene, estimates = lost_and_found(tuple(range(10, 16)))
+    by_index = {estimate.index: estimate for estimate in estimates}
+    assert by_index[12].scale_sigma > 0.5 and np.trace(by_index[12].pose.covariance) > 100
+    back = by_index[16]
+    assert back.status is Status.TRACKED and back.previous == 9
+    assert back.scale_sigma < 0.05 and np.trace(back.pose.covariance) < 1.0
+    truth = scene.trajectory.poses
+    assert back.prev_T_cur.mean.equals(truth[9].between(truth[16]), 0.3)  # of 0.7 s of flight
+    assert by_index[17].previous == 16
+
+
 def test_gaps_change_the_step_and_not_the_code():
     scene = simulate_flight(frames=60, seed=5, noise=0.3, landmarks=6000)
     vslam = begun(scene, SceneFinder(scene))
