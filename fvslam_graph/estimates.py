@@ -10,6 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+CARRIED = 0.25  # share of cases in which a camera that has lost the scene went anywhere meanwhile,
+TURNED = 1.0  # by so many rad (deviation), and as far as the scene was away
 VAGUE = 0.2**2  # variance of the logarithm of a scale from which on it tells nothing
 
 
@@ -36,16 +38,78 @@ class GaussianPose:
         covariance = adjoint @ self.covariance @ adjoint.T + step.covariance
         return GaussianPose(self.mean.compose(step.mean), (covariance + covariance.T) / 2)
 
+    @property
+    def travel(self) -> NDArray[np.float64]:
+        """(6,) how it changes with the logarithm of its length, in its own tangent."""
+        return np.concatenate([np.zeros(3), self.mean.rotation().unrotate(self.mean.translation())])
+
     def with_scale_variance(self, variance: float) -> GaussianPose:
         """The same with so much more variance of the logarithm of its length; less, where it is negative."""
-        travel = np.concatenate([np.zeros(3), self.mean.rotation().unrotate(self.mean.translation())])
-        return GaussianPose(self.mean, self.covariance + variance * np.outer(travel, travel))
+        return GaussianPose(self.mean, self.covariance + variance * np.outer(self.travel, self.travel))
+
+    def carried(self, distance: float) -> GaussianPose:
+        """The same where nothing of the scene, `distance` metres away, was found again; the mean is a motion model's.
+
+        Nobody knows how far the camera was carried: mostly it is where it was expected. But that nothing of the scene
+        is in view suggests that it may have gone as far as the scene was away, or have turned from it. This is the
+        covariance of a mixture of both.
+        """
+        sigmas = np.repeat([TURNED, distance], 3)
+        return GaussianPose(self.mean, self.covariance + CARRIED * np.diag(sigmas**2))
 
     def inverse(self) -> GaussianPose:
         """b_T_a."""
         adjoint = self.mean.AdjointMap()
         covariance = adjoint @ self.covariance @ adjoint.T
         return GaussianPose(self.mean.inverse(), (covariance + covariance.T) / 2)
+
+
+@dataclass(frozen=True)
+class ScaledPose:
+    """A pose at the end of a path whose lengths have a scale that errs likewise from one motion to the next.
+
+    Attributes:
+        pose: a_T_b, as if the motions were independent.
+        common: (6, 6) what its covariance is more, or less, as they are not.
+        by_scale: (6,) covariance of its error and that of the logarithm of the last motion's scale,
+        variance: and the variance of this.
+    """
+
+    pose: GaussianPose
+    common: NDArray[np.float64]
+    by_scale: NDArray[np.float64]
+    variance: float
+
+    @classmethod
+    def of(cls, pose: GaussianPose, variance: float = 0.0) -> Self:
+        """One motion, whose covariance contains so much variance of the logarithm of its length."""
+        return cls(pose, np.zeros((6, 6)), variance * pose.travel, variance)
+
+    @property
+    def whole(self) -> GaussianPose:
+        """a_T_b with all its uncertainty."""
+        return GaussianPose(self.pose.mean, self.pose.covariance + self.common)
+
+    def replaced(self, pose: GaussianPose) -> ScaledPose:
+        """Another estimate of the same motion, with as much of the scale's error as its covariance has room for."""
+        if not self.variance > 0:
+            return ScaledPose.of(pose)
+        direction = self.by_scale / self.variance
+        known = float(direction @ np.linalg.pinv(pose.covariance, hermitian=True) @ direction)
+        variance = min(self.variance, 1 / known) if known > 0 else 0.0
+        return ScaledPose(pose, np.zeros((6, 6)), variance * direction, variance)
+
+    def compose(self, step: ScaledPose) -> ScaledPose:
+        """a_T_c of this a_T_b and b_T_c, which is independent of it but for the scale.
+
+        A scale that is carried from motion to motion, and measured again now and then, is a Markov chain: what two of
+        its errors have in common is the variance of the one that is known better.
+        """
+        adjoint = step.pose.mean.inverse().AdjointMap()
+        carried = adjoint @ self.by_scale * (min(1.0, step.variance / self.variance) if self.variance > 0 else 0.0)
+        both = np.outer(carried, step.by_scale / step.variance) if step.variance > 0 else np.zeros((6, 6))
+        common = adjoint @ self.common @ adjoint.T + step.common + both + both.T
+        return ScaledPose(self.pose.compose(step.pose), common, carried + step.by_scale, step.variance)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.fusion.interleave import Interleave
 from fvslam_graph.fusion.intersection import Intersection
 from fvslam_graph.results import FrameResult
-from fvslam_graph.sequences.base import Frame, Sequence
+from fvslam_graph.sequences.base import Frame, Newness, Sequence
 from fvslam_graph.slam.estimate import Outcome, SlamEstimate
 from fvslam_graph.slam.finder import LandmarkFinder
 from fvslam_graph.slam.patch_finder import PatchFinder
@@ -66,22 +66,30 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
         ConfigError: The scale source needs what the sequence does not have.
     """
     baseline = eyes.baseline if eyes else _true_baseline(sequence, config)
-    vo = VisualOdometry(sequence.camera, config, sequence.ground, baseline, eyes.association if eyes else None)
+
+    def odometry_from_here() -> VisualOdometry:
+        return VisualOdometry(sequence.camera, config, sequence.ground, baseline, eyes.association if eyes else None)
+
+    vo = odometry_from_here()
+    rescue: VisualOdometry | None = None
     finder = eyes.finder if eyes else PatchFinder(sequence.camera, config.features, config.slam)
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     fusion = _fusion(sequence, config)
     interleave = Interleave(config.interleave, config.slam.shorten)
+    newness = Newness()
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
         with stopwatch.stage("read"):
-            frame = sequence.frame(index)
+            frame = newness.checked(sequence.frame(index))
 
         # O_f: visual odometry, on every frame.
         odometry: VoEstimate | None = None
         if config.needs_odometry or not vslam.started:
             odometry = vo.step(frame, vslam.tracks if config.tracks_apart else None)
             previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
-            fusion.add_odometry(frame, previous, motion, odometry.scale, odometry.map.variance)
+            scale, variance, awaited = odometry.scale, odometry.map.variance, odometry.awaited
+            measured = status in (Status.TRACKED, Status.STATIC)
+            fusion.add_odometry(frame, previous, motion, scale, variance, awaited, measured)
 
         # S_f: visual SLAM, on every k-th frame, from where odometry first knows enough to start it.
         slam: SlamEstimate | None = None
@@ -100,6 +108,15 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
                 motion = fusion.fuse(slam.pose, slam.prev_T_cur, slam.views if found else None)
             if config.mode is not Mode.VSLAM:
                 vslam.rebase(fusion.reference)
+
+            # A map that V-SLAM made on its own knows no metres: where odometry can tell them, it does so once more.
+            telling = not config.needs_odometry and not config.scale.relative
+            if status is Status.REINITIALISED and telling and rescue is None:
+                rescue = odometry_from_here()
+            if rescue is not None:
+                anew = _start(vslam, frame, rescue.step(frame), fusion.pose, sequence, config)
+                if anew is not None:
+                    rescue, slam = None, replace(anew, previous=previous, prev_T_cur=motion, status=status)
 
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})

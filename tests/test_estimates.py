@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.estimates import GaussianPose, ScaledPose
 
 
 def some_covariance(seed: int, size: float) -> np.ndarray:
@@ -56,3 +56,57 @@ def test_a_scale_that_is_not_known_is_an_uncertain_length():
     assert vague.mean.equals(motion.mean, 0)
     assert vague.covariance - motion.covariance == pytest.approx(0.04 * np.outer(by_scale, by_scale), abs=1e-8)
     assert vague.with_scale_variance(-0.04).covariance == pytest.approx(motion.covariance, abs=1e-12)
+
+
+def path_errors(steps: int, samples: int) -> tuple[np.ndarray, ScaledPose]:
+    """End positions (samples, 3) of paths whose scale is a random walk that is measured now and then, and their belief.
+
+    The measurement is a Kalman update of the scale.
+    """
+    rng, walk, noise = np.random.default_rng(0), 0.01**2, 0.03**2
+    step = gtsam.Pose3(gtsam.Rot3.Rz(0.1), np.array([1.0, 0.2, 0.0]))
+    error, variance = np.zeros(samples), 0.02**2
+    error += 0.02 * rng.standard_normal(samples)
+    position, turn = np.zeros((samples, 3)), np.eye(3)
+    path = ScaledPose.of(GaussianPose.identity())
+    for index in range(steps):
+        error, variance = error + np.sqrt(walk) * rng.standard_normal(samples), variance + walk
+        if index % 5 == 4:
+            gain = variance / (variance + noise)
+            error = (1 - gain) * error + gain * np.sqrt(noise) * rng.standard_normal(samples)
+            variance *= 1 - gain
+        position += (1 + error)[:, None] * (turn @ step.translation())
+        turn = turn @ step.rotation().matrix()
+        motion = GaussianPose(step, np.zeros((6, 6))).with_scale_variance(variance)
+        path = path.compose(ScaledPose.of(motion, variance))
+    return position, path
+
+
+def test_a_scale_that_errs_likewise():
+    positions, path = path_errors(12, 20000)
+    axes = path.whole.mean.rotation().matrix()
+    believed = axes @ path.whole.covariance[3:, 3:] @ axes.T
+    true = np.cov(positions.T)
+    assert np.trace(true) < np.trace(believed) < 1.3 * np.trace(true)  # an upper bound, and no large one
+    assert np.trace(path.pose.covariance[3:, 3:]) < 0.3 * np.trace(true)  # as if independent
+    assert np.linalg.eigvalsh(path.whole.covariance)[0] > -1e-12
+
+
+def test_another_estimate_has_room_for_less_of_the_scale():
+    motion = GaussianPose(gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 2.0])), 1e-4 * np.eye(6))
+    odometry = ScaledPose.of(motion.with_scale_variance(0.04), 0.04)
+    same = odometry.replaced(odometry.pose)
+    assert same.variance == pytest.approx(0.04) and same.by_scale == pytest.approx(odometry.by_scale)
+    better = odometry.replaced(motion)
+    assert better.variance == pytest.approx(1e-4 / 4)
+    assert (
+        np.linalg.eigvalsh(motion.covariance - np.outer(better.by_scale, better.by_scale) / better.variance)[0] > -1e-9
+    )
+
+
+def test_a_camera_that_may_have_been_carried():
+    pose = GaussianPose(gtsam.Pose3(), some_covariance(0, 0.1))
+    carried = pose.carried(12.0)
+    more = carried.covariance - pose.covariance
+    assert carried.mean.equals(pose.mean, 0) and more == pytest.approx(np.diag(np.diag(more)))
+    assert 3 * np.sqrt(more[5, 5]) > 12.0 > np.sqrt(more[5, 5])

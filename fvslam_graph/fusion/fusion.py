@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Collection
+from dataclasses import replace
 
-from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, ScaledPose, ScaleStep, Views
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.fusion.rule import FusionRule
@@ -15,34 +17,46 @@ class Fusion(ABC):
     """The reference P_f, from which both subsystems go on (the paper, section 3 and Fig. 1).
 
     Attributes:
-        reference: world_T_camera at the last frame where both were fused.
         graph: The factor graph, if there is one.
     """
 
     def __init__(self) -> None:
-        self.reference = GaussianPose.identity()
+        self._reference = ScaledPose.of(GaussianPose.identity())
         self.graph: Graph | None = None
         self._chain = OdometryChain()
 
     @property
+    def reference(self) -> GaussianPose:
+        """world_T_camera at the last frame where both were fused."""
+        return self._reference.whole
+
+    @property
     def motion(self) -> GaussianPose:
         """Motion since P_f, by odometry."""
-        return self._chain.motion
+        return self._chain.motion.pose
 
     @property
     def pose(self) -> GaussianPose:
         """world_T_camera of the newest frame: P_f, carried on by odometry."""
-        return self.reference.compose(self.motion)
+        return self._reference.compose(self._chain.motion).whole
 
     def add_odometry(
-        self, frame: Frame, previous: int, prev_T_cur: GaussianPose, scale: ScaleStep | None, scale_variance: float
+        self,
+        frame: Frame,
+        previous: int,
+        prev_T_cur: GaussianPose,
+        scale: ScaleStep | None,
+        scale_variance: float,
+        awaited: Collection[int] = (),
+        measured: bool = True,
     ) -> None:
-        """The motion of a frame, O_f; see `Graph.add_odometry`."""
-        self._chain.add(frame.index, previous, prev_T_cur)
+        """The motion of a frame, O_f; see `Graph.add_odometry` and `OdometryChain.add`."""
+        self._chain.add(frame.index, previous, prev_T_cur, scale_variance, awaited, measured)
 
     def start(self, pose: GaussianPose, views: Views) -> None:
         """Visual SLAM begins at the newest frame, at this pose world_T_camera."""
-        self.reference = pose
+        path = self._reference.compose(self._chain.motion)
+        self._reference = replace(path, pose=replace(pose, covariance=pose.covariance - path.common))
         self._chain.anchor()
 
     def fuse(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
@@ -57,7 +71,7 @@ class Fusion(ABC):
             The motion since the last P_f.
         """
         fused = self._fused(pose, motion, views)
-        self._chain.anchor()
+        self._chain.anchor(fused)
         return fused
 
     @abstractmethod
@@ -69,7 +83,7 @@ class SlamAlone(Fusion):
     """Visual SLAM as it is; odometry carries on from there to frames on which it does not run."""
 
     def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
-        self.reference = pose
+        self._reference = ScaledPose.of(pose)
         return motion
 
 
@@ -85,6 +99,7 @@ class RuleFusion(Fusion):
         self._rule = rule
 
     def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
-        fused = self.motion if views is None else self._rule(self.motion, motion)
-        self.reference = self.reference.compose(fused)
-        return fused
+        odometry = self._chain.motion
+        step = odometry if views is None else odometry.replaced(self._rule(odometry.whole, motion))
+        self._reference = self._reference.compose(step)
+        return step.whole

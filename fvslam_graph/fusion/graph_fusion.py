@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import gtsam
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings, GroundSettings
-from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, ScaledPose, ScaleStep, Views
 from fvslam_graph.fusion.fusion import Fusion
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.sequences.base import Frame, Ground
@@ -54,10 +55,17 @@ class GraphFusion(Fusion):
         self._step, self._left = np.zeros(3), 0.0
 
     def add_odometry(
-        self, frame: Frame, previous: int, prev_T_cur: GaussianPose, scale: ScaleStep | None, scale_variance: float
+        self,
+        frame: Frame,
+        previous: int,
+        prev_T_cur: GaussianPose,
+        scale: ScaleStep | None,
+        scale_variance: float,
+        awaited: Collection[int] = (),
+        measured: bool = True,
     ) -> None:
         """The motion of a frame, and the height above level ground, if this is asked for."""
-        super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance)
+        super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance, awaited, measured)
         self._newest = frame.index
         self._step = self._left * self._step
         motion = self.graph.add_odometry(frame.stamp, previous, prev_T_cur, scale, scale_variance)
@@ -93,7 +101,7 @@ class GraphFusion(Fusion):
             # What lies behind the last P_f in the scale in which it was published, the motion since in that of now.
             away = (self._published_scale() - 1) * self.graph.positions([before])[0]
         self._poses = {frame: _moved(self.graph.pose(frame), away) for frame in self._poses if self.graph.has(frame)}
-        self.reference = self._poses[self._newest]
+        self._reference = ScaledPose.of(self._poses[self._newest])
         if self._settings.online == "steady":
             self._left = math.exp(-1 / (self._newest - before))
             self._step = self._step + self._left * (expected - self.reference.mean.translation())

@@ -36,6 +36,25 @@ class Frame:
     height_sigma: float = 0.0
 
 
+class Newness:
+    """Tells images from repetitions: a byte-identical one is a duplicate, not a camera that stands.
+
+    A driver that has no new image delivers the last one again; of the camera it says nothing.
+    """
+
+    def __init__(self) -> None:
+        self._last: Image | None = None
+
+    def checked(self, frame: Frame) -> Frame:
+        """The frame; without its image where that is a repetition of the last one."""
+        if frame.image is None:
+            return frame
+        if self._last is not None and np.array_equal(frame.image, self._last):
+            return replace(frame, image=None)
+        self._last = frame.image
+        return frame
+
+
 @dataclass(frozen=True)
 class Ground:
     """What is known of the ground below the camera: the fact that makes one camera metric.

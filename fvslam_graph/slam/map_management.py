@@ -45,6 +45,7 @@ class MapManager:
         self.settings = settings
         self.finder = finder
         self.records = Records.none()
+        self.awaited = np.empty(0, np.int64)  # landmarks of maps that were lost: they are kept, as they may come back
         self._next_id = 0
         self._share = 1.0  # of the map that a frame measures
         self.distance = settings.unknown_distance  # metres, typical of what was seen last
@@ -91,7 +92,7 @@ class MapManager:
             if len(chosen):
                 known = None if points is None else points[chosen]
                 state = self._begin(state, frame, candidates[chosen], known, map_T_camera)
-        self.records = self.records.of(np.sort(state.ids))
+        self.records = self.records.of(np.union1d(state.ids, self.awaited))
         self.finder.forget(self.records.ids)
         return state
 

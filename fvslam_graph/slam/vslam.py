@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -31,16 +32,56 @@ from fvslam_graph.slam.motion import (
 )
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
 from fvslam_graph.slam.records import NO_TRACK
-from fvslam_graph.slam.state import POSE, SCALE, State
+from fvslam_graph.slam.state import POSE, SCALE, VELOCITY, State
 from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.trajectory import Status
 
 PATIENCE = 3  # images in a row without enough matches before the map is rebuilt
 MIN_CANDIDATES = 10  # corners that an image has at least, for a map to be built on it
 SURPRISE = 4.0  # an image that did not fit the map may have been a motion that the noise does not allow for
+MEMORY = 3.0  # seconds for which a lost map is looked for,
+MIN_SHARE = 0.4  # and of its landmarks that have to be measured then
+UNKNOWN_SCALE = 0.7  # of log scale: scenes are as far away as the last one within a factor of two
 UNKNOWN_RATE = 0.5  # rad/s, and distances to the landmarks per second: standard deviation where nothing is known
 # The matrices are small: a second thread costs more than it brings, and the sums would depend on the machine.
 _BLAS = ThreadpoolController()
+
+
+@dataclass(frozen=True)
+class _Remembered:
+    """A state to go on from.
+
+    Attributes:
+        state: In the camera of its frame.
+        map_T_camera: Of that camera, without the re-anchoring.
+        index, stamp: Of its frame.
+    """
+
+    state: State
+    map_T_camera: gtsam.Pose3
+    index: int
+    stamp: float
+
+
+@dataclass(frozen=True)
+class _Sighting:
+    """A state in a new camera.
+
+    Attributes:
+        state: With the landmarks of the earlier one.
+        motion: From the earlier camera,
+        previous: and the index of its frame.
+        map_T_camera: Without the re-anchoring.
+        searched: What became of the landmarks.
+        lost: Whether too few of them agree, so that the motion is the predicted one.
+    """
+
+    state: State
+    motion: GaussianPose
+    previous: int
+    map_T_camera: gtsam.Pose3
+    searched: Searched
+    lost: bool
 
 
 class VSlam:
@@ -69,6 +110,8 @@ class VSlam:
         self._state: State | None = None
         self._map_T_camera = gtsam.Pose3()  # the motions as they were estimated, without the re-anchoring
         self.index, self._stamp = 0, math.nan  # of the last step
+        self._seen: _Remembered | None = None  # where the map was seen last, if that is not the last step
+        self._lost: _Remembered | None = None  # likewise of a map that was given up, and is looked for
         self._failures = 0  # usable images in a row that did not fit the map
 
     @property
@@ -86,7 +129,7 @@ class VSlam:
     def start(
         self, frame: Frame, pose: GaussianPose, prev_T_cur: GaussianPose, seconds: float, points: KnownPoints
     ) -> SlamEstimate:
-        """Begin with landmarks among points of known depth.
+        """Begin, or begin anew, with landmarks among points of known depth.
 
         Args:
             frame: The first frame.
@@ -96,10 +139,10 @@ class VSlam:
             points: Of this frame.
         """
         self._stopwatch = Stopwatch()
-        self.index, self._stamp = frame.index, frame.stamp
+        self._failures, self._seen = 0, None
         state = predict_from_odometry(State.at(pose.mean, pose.covariance), prev_T_cur, seconds)
         state = self._map.grown(state, frame, points, self._map_T_camera)
-        return self._arrive(frame, state, prev_T_cur, Searched.none(), Status.TRACKED)
+        return self._arrive(frame, state, prev_T_cur, Searched.none(), Status.TRACKED, frame.index)
 
     @_BLAS.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
     def step(
@@ -115,23 +158,55 @@ class VSlam:
         """
         assert self._state is not None, "start comes first"
         self._stopwatch = Stopwatch()
-        seconds, sigma = frame.stamp - self._stamp, self.settings.pixel_sigma
+        surprise = SURPRISE if self._failures else 1.0
+        before = _Remembered(self._state, self._map_T_camera, self.index, self._stamp)
+        sighting = self._sight(frame, before, odometry, points, surprise)
+        if odometry is None and (found := self._found_again(frame)) is not None:
+            sighting, self._lost = found, None
+        self._map_T_camera = sighting.map_T_camera
+
+        # Drop and begin landmarks.
+        status, textured = self._judge(frame, sighting.lost)
+        if status is Status.TRACKED:
+            self._seen = None
+        elif self._seen is None:
+            self._seen = before
+        with self._stopwatch.stage("map"):
+            state = self._brought_up_to_date(sighting.state, frame, sighting.searched, status, points)
+            estimate = self._arrive(frame, state, sighting.motion, sighting.searched, status, sighting.previous)
+        if status is Status.COASTED and textured:
+            return replace(estimate, pose=estimate.pose.carried(self._map.distance))
+        return estimate
+
+    def _sight(
+        self,
+        frame: Frame,
+        before: _Remembered,
+        odometry: GaussianPose | None,
+        points: KnownPoints | None,
+        surprise: float,
+    ) -> _Sighting:
+        """From an earlier state to the new camera, by what of its map is in the image; arguments as for `step`."""
+        seconds, sigma = frame.stamp - before.stamp, self.settings.pixel_sigma
 
         # Predict the motion, and where it leads the landmarks to.
         with self._stopwatch.stage("filter"):
             if odometry is None:
-                surprise = SURPRISE if self._failures else 1.0
-                state = predict_constant_velocity(self._state, seconds, self.settings, surprise)
+                state = predict_constant_velocity(before.state, seconds, self.settings, surprise)
             else:
-                state = predict_from_odometry(self._state, odometry, seconds)
+                state = predict_from_odometry(before.state, odometry, seconds)
             prediction = predict_pixels(state, seconds, self.camera)
             visible = prediction.in_front & self.camera.contains(prediction.pixels, MARGIN)
             ellipses = prediction.innovation_covariances(state, np.ones(len(state), bool), sigma)
 
         # Look for each landmark inside its ellipse.
         with self._stopwatch.stage("search"):
+            prev_T_cur, _ = travelled(state.velocity, seconds)
+            map_T_camera = before.map_T_camera.compose(prev_T_cur)
             followed = self._map.followed(state, points)
-            pixels, found = self._search(frame, state, seconds, prediction.pixels, ellipses, followed, visible)
+            pixels, found = self._search(
+                frame, state, prev_T_cur, map_T_camera, prediction.pixels, ellipses, followed, visible
+            )
 
         with self._stopwatch.stage("filter"):
             # Low-innovation inliers update the state first, so that high-innovation inliers differ from outliers.
@@ -140,7 +215,7 @@ class VSlam:
                 state, prediction, pixels, found, seconds, self.camera, sigma, slack, self._rng
             )
             rescued = np.zeros(len(found), bool)
-            lost = votes < self.settings.min_matches or inliers.sum() < self.settings.min_share * found.sum()
+            lost = bool(votes < self.settings.min_matches or inliers.sum() < self.settings.min_share * found.sum())
             if not lost:
                 state, updated = update(state, prediction, inliers, pixels, seconds, self.camera, sigma)
                 rescued = self._agree(state, updated, pixels, found & ~inliers)
@@ -148,19 +223,25 @@ class VSlam:
 
             # Step into the new camera.
             prev_T_cur, _ = travelled(state.velocity, seconds)
-            self._map_T_camera = self._map_T_camera.compose(prev_T_cur)
             state = compose(state, seconds)
             motion = last_motion(state, seconds)
 
-        # Drop and begin landmarks.
         outcome = np.where(found, Outcome.REJECTED, np.where(visible, Outcome.UNMATCHED, Outcome.OUT_OF_VIEW))
         if not lost:
             outcome[inliers], outcome[rescued] = Outcome.INLIER, Outcome.RESCUED
         searched = Searched(state.ids, outcome, prediction.pixels, ellipses, np.where(found[:, None], pixels, np.nan))
-        status = self._judge(frame, lost)
-        with self._stopwatch.stage("map"):
-            state = self._brought_up_to_date(state, frame, searched, status, points)
-            return self._arrive(frame, state, motion, searched, status)
+        return _Sighting(state, motion, before.index, before.map_T_camera.compose(prev_T_cur), searched, lost)
+
+    def _found_again(self, frame: Frame) -> _Sighting | None:
+        """By a map that was lost some seconds ago, where this image shows it."""
+        if self._lost is None or frame.image is None:
+            return None
+        if frame.stamp - self._lost.stamp > MEMORY:
+            self._lost = None
+            return None
+        sighting = self._sight(frame, self._lost, None, None, SURPRISE)
+        measured = int(sighting.searched.measured.sum())
+        return sighting if not sighting.lost and measured >= MIN_SHARE * len(sighting.searched) else None
 
     def rebase(self, pose: GaussianPose) -> None:
         """Go on from another pose world_T_camera; the map in the camera stays as it is."""
@@ -171,7 +252,8 @@ class VSlam:
         self,
         frame: Frame,
         state: State,
-        seconds: float,
+        prev_T_cur: gtsam.Pose3,
+        map_T_camera: gtsam.Pose3,
         expected: Array,
         ellipses: Array,
         followed: Array,
@@ -180,8 +262,6 @@ class VSlam:
         """Pixels (N, 2) of all landmarks, and which were found (N,)."""
         pixels, found = expected.copy(), np.zeros(len(expected), bool)
         if frame.image is not None and visible.any():
-            prev_T_cur, _ = travelled(state.velocity, seconds)
-            map_T_camera = self._map_T_camera.compose(prev_T_cur)
             points = (state.positions[visible] - prev_T_cur.translation()) @ prev_T_cur.rotation().matrix()
             search = Search(
                 state.ids[visible], expected[visible], ellipses[visible], followed[visible], points, map_T_camera
@@ -198,16 +278,19 @@ class VSlam:
         agree[agree] = distance < GATE
         return agree
 
-    def _judge(self, frame: Frame, lost: bool) -> Status:
-        """A bad image is passed over; after some that do not fit the map, it is given up for one that has texture."""
+    def _judge(self, frame: Frame, lost: bool) -> tuple[Status, bool]:
+        """A bad image is passed over; after some that do not fit the map, it is given up for one that has texture.
+
+        Returns:
+            The status, and whether an image that does not fit has texture.
+        """
         if frame.image is None:
-            return Status.SKIPPED
+            return Status.SKIPPED, False
         self._failures = self._failures + 1 if lost else 0
         if not lost:
-            return Status.TRACKED
-        if self._failures < PATIENCE or len(self.finder.candidates(frame, np.empty((0, 2)))) < MIN_CANDIDATES:
-            return Status.COASTED
-        return Status.REINITIALISED
+            return Status.TRACKED, True
+        textured = len(self.finder.candidates(frame, np.empty((0, 2)))) >= MIN_CANDIDATES
+        return Status.REINITIALISED if textured and self._failures >= PATIENCE else Status.COASTED, textured
 
     def _brought_up_to_date(
         self, state: State, frame: Frame, searched: Searched, status: Status, points: KnownPoints | None
@@ -222,19 +305,32 @@ class VSlam:
         return self._map.grown(state, frame, points, self._map_T_camera)
 
     def _forgotten(self, state: State) -> State:
-        """The pose alone, with neither map nor velocity."""
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3] = UNKNOWN_RATE**2 * np.eye(3)
-        covariance[3:, 3:] = (UNKNOWN_RATE * self._map.distance) ** 2 * np.eye(3)
-        standing = GaussianPose(gtsam.Pose3(), covariance)
-        return predict_from_odometry(State.at(state.world_T_camera, state.covariance[POSE, POSE]), standing, 1.0)
+        """The pose, which the camera may have been carried from, and what is left of the velocity, without a map.
+
+        Nothing tells any more in which scale the next map is but the speed, and that scenes are about as far away.
+        """
+        self._lost = self._lost or self._seen
+        self._map.awaited = self._lost.state.ids if self._lost else self._map.awaited
+        distance = self._map.distance
+        covariance = np.diag(np.repeat([UNKNOWN_RATE, UNKNOWN_RATE * distance], 3) ** 2)
+        travel = GaussianPose(gtsam.Pose3.Expmap(state.velocity), covariance + state.covariance[VELOCITY, VELOCITY])
+        pose = GaussianPose(state.world_T_camera, state.covariance[POSE, POSE]).carried(distance)
+        alone = State.at(pose.mean, pose.covariance)
+        alone.covariance[SCALE, SCALE] = UNKNOWN_SCALE**2
+        return predict_from_odometry(alone, travel, 1.0)
 
     def _arrive(
-        self, frame: Frame, state: State, motion: GaussianPose, searched: Searched, status: Status
+        self,
+        frame: Frame,
+        state: State,
+        motion: GaussianPose,
+        searched: Searched,
+        status: Status,
+        previous: int,
     ) -> SlamEstimate:
         """Take over the state in the new camera, and say what it is."""
         self._state = state = state.with_scale_apart()
-        previous, self.index, self._stamp = self.index, frame.index, frame.stamp
+        self.index, self._stamp = frame.index, frame.stamp
         return SlamEstimate(
             index=frame.index,
             previous=previous,

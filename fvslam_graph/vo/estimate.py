@@ -31,6 +31,7 @@ class VoEstimate:
         scale: Of the baseline between the two, and where it comes from; None where none was estimated.
         map: What is known of the depths of these tracks in this frame.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
+        awaited: Indices of references that were lost: a motion to come may start from one that is found again.
         times: Milliseconds by stage.
     """
 
@@ -43,6 +44,7 @@ class VoEstimate:
     scale: ScaleStep | None = None
     map: MetricMap = field(default_factory=MetricMap.empty)
     parallax: float = math.nan
+    awaited: tuple[int, ...] = ()
     times: dict[str, float] = field(default_factory=dict)
 
     @property

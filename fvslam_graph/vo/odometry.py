@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -27,6 +29,7 @@ from fvslam_graph.vo.estimate import VoEstimate, metric_pose
 from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.motion_model import ConstantVelocity
+from fvslam_graph.vo.plausibility import Plausibility
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import MetricMap, MetricScale
 from fvslam_graph.vo.two_view import estimate_two_view
@@ -34,6 +37,8 @@ from fvslam_graph.vo.two_view import estimate_two_view
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1
 ENOUGH = 2  # times the inliers needed: fewer tracks, and none is left apart
+MEMORY = 3.0  # seconds for which a lost reference is looked for,
+REMEMBERED = 2  # and so many of them
 PATIENCE = 3  # textured images in a row that do not fit the reference before it is given up
 GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
 GUESS = 1.0  # variance of the logarithm of such a distance
@@ -49,12 +54,31 @@ class _Motion:
         tracks: Those that agree with it.
         map: Of the reference, with what was learnt.
         scale: Of the baseline, where it was estimated.
+        parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
     """
 
     ref_T_cur: GaussianPose
     tracks: Tracks
     map: MetricMap
     scale: ScaleStep | None = None
+    parallax: float = math.nan
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """A reference that was lost, with all that it takes to go on from it.
+
+    Attributes:
+        frame, points, map: Its image, how many points it has, and what is known of their depths.
+        association: Finds these points.
+        stamp: Until when it was tracked.
+    """
+
+    frame: Frame
+    points: int
+    map: MetricMap
+    association: Association
+    stamp: float
 
 
 class VisualOdometry:
@@ -92,6 +116,7 @@ class VisualOdometry:
             aligner = GroundAligner(camera, ground.normal, ground.normal_sigma, config.scale.ground)
         self._scale = MetricScale(config.scale, aligner, true_baseline)
         self._motion_model = ConstantVelocity(config.vo)
+        self._plausibility = Plausibility()
         self._stopwatch = Stopwatch()
 
         self._reference: Frame | None = None
@@ -101,6 +126,7 @@ class VisualOdometry:
         self._last_stamp = math.nan
         self._first = 0  # index of the first frame
         self._seen = Tracks.none()  # where the points were when the camera last moved
+        self._lost: deque[_Reference] = deque(maxlen=REMEMBERED)
         self._failures = 0  # usable images in a row that did not fit the reference
         self._apart = np.empty(0, np.int64)  # tracks not to be used for the motion
 
@@ -120,42 +146,70 @@ class VisualOdometry:
         if self._reference is None:
             return self._refer_after(self._coast(frame, Status.STATIC), frame)
 
+        if (found := self._found_again(frame)) is not None:
+            return found
         with self._stopwatch.stage("association"):
             tracks = self._association.track(frame.image)
         if len(tracks) < self.settings.min_inliers:
             return self._lose(frame)
         with self._stopwatch.stage("pose"):
             shaken = self._stands_still(tracks)
-            if shaken is not None:
-                return self._stand(frame, tracks, shaken)
-            rotation, unexplained = fit_rotation(
-                rays(self.camera, tracks.reference), rays(self.camera, tracks.current), self.camera.fx
-            )
-            parallax = float(np.median(unexplained))
-
-        motion = self._measure(frame, tracks, rotation, parallax)
-        if motion is None:
+        standing = None if shaken is None else self._stand(tracks, shaken)
+        measured = standing or self._measure(frame, tracks)
+        if measured is None:
             return self._lose(frame)
-        estimate = replace(self._accept(frame, motion), found=len(tracks), parallax=parallax)
+        motion = self._believed(frame, measured)
+        if motion is None:
+            return replace(self._coast(frame, Status.COASTED), found=len(tracks), parallax=measured.parallax)
+        estimate = self._accept(frame, motion) if standing is None else self._rest(frame, motion)
+        estimate = replace(estimate, found=len(tracks), parallax=motion.parallax)
 
-        far = motion.scale is not None and parallax > self.settings.keyframe_parallax
-        if far or self._is_worn_out(motion.tracks):
+        far = motion.scale is not None and motion.parallax > self.settings.keyframe_parallax
+        if standing is None and (far or self._is_worn_out(motion.tracks)):
             self._refer_to(frame, motion.tracks, estimate.map)
         elif not len(self._map):
             self._map = motion.map  # in whose scale motions from this reference go on
         return estimate
 
-    def _measure(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
+    def _measure(self, frame: Frame, tracks: Tracks) -> _Motion | None:
+        """What the image says of the motion, and how much parallax it has; None where nothing fits."""
+        with self._stopwatch.stage("pose"):
+            rotation, unexplained = fit_rotation(
+                rays(self.camera, tracks.reference), rays(self.camera, tracks.current), self.camera.fx
+            )
+            parallax = float(np.median(unexplained))
+        motion = self._move(frame, tracks, rotation, parallax)
+        return None if motion is None else replace(motion, parallax=parallax)
+
+    def _move(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
         """Two views where they tell most, else the map, else what is left; None where nothing fits."""
         far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
-        located = self._locate(tracks)
-        if not far and located is not None and (motion := self._move_in_map(tracks, located)):
+        located = self._locate(tracks, self._map)
+        if not far and located is not None and (motion := self._move_in_map(tracks, located, self._map)):
             return motion
         if some and (motion := self._move_by_two_views(frame, tracks, located)):
             return motion
         if far and located is not None:
-            return self._move_in_map(tracks, located)
+            return self._move_in_map(tracks, located, self._map)
         return None if far else self._turn(tracks, rotation, parallax)
+
+    def _believed(self, frame: Frame, motion: _Motion) -> _Motion | None:
+        """The motion with what may be wrong about it; None where the camera can hardly have moved so."""
+        assert self._reference is not None
+        pose = self._plausibility.judged(
+            motion.ref_T_cur,
+            self._predict(frame),
+            frame.stamp,
+            self._reference.stamp,
+            self._motion_model.accelerations,
+        )
+        if pose is None:
+            return None
+        if self._plausibility.insisted and motion.scale is not None:
+            # Where the motion is doubtful, so is the scale in which it was triangulated.
+            known = MetricMap(motion.map.depths, motion.map.variance + GUESS)
+            return replace(motion, ref_T_cur=pose.with_scale_variance(GUESS), map=known)
+        return replace(motion, ref_T_cur=pose)
 
     def _is_worn_out(self, tracks: Tracks) -> bool:
         """Whether so few of the reference's points are left that another frame is to become the reference."""
@@ -178,15 +232,18 @@ class VisualOdometry:
         rotation, unexplained = fit_rotation(rays(self.camera, last), rays(self.camera, current), self.camera.fx)
         return rotation if np.median(unexplained) < self.settings.static_parallax else None
 
-    def _stand(self, frame: Frame, tracks: Tracks, shaken: gtsam.Rot3) -> VoEstimate:
+    def _stand(self, tracks: Tracks, shaken: gtsam.Rot3) -> _Motion:
         """No translation, with the uncertainty of a parallax that counts as none."""
         hidden = self.settings.static_parallax / self.camera.fx
         sigmas = np.repeat([hidden, hidden * self._typical_depth()], 3)
         step = GaussianPose(gtsam.Pose3(shaken, np.zeros(3)), np.diag(sigmas**2))
+        return _Motion(self._ref_T_last.compose(step), tracks, self._map)
+
+    def _rest(self, frame: Frame, motion: _Motion) -> VoEstimate:
+        """Take over that the camera stands; where it came to stand is kept, so that it does not drift."""
         self._motion_model.stop()
         self._last_stamp, self._failures = frame.stamp, 0
-        estimate = self._estimate(frame, self._ref_T_last.compose(step), Status.STATIC)
-        return replace(estimate, found=len(tracks), tracks=tracks)
+        return replace(self._estimate(frame, motion.ref_T_cur, Status.STATIC), tracks=motion.tracks)
 
     def _move_by_two_views(self, frame: Frame, tracks: Tracks, located: gtsam.Pose3 | None) -> _Motion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
@@ -224,27 +281,27 @@ class VisualOdometry:
             )
         return _Motion(metric_pose(two_view, scale.length), tracks, known, scale)
 
-    def _locate(self, tracks: Tracks) -> gtsam.Pose3 | None:
+    def _locate(self, tracks: Tracks, known: MetricMap) -> gtsam.Pose3 | None:
         """Roughly where the camera is among the points of known depth."""
-        mine, theirs = self._map.depths.common(tracks.ids)
+        mine, theirs = known.depths.common(tracks.ids)
         used = self._used(tracks)[theirs]
-        depths, known = self._map.depths[mine[used]], tracks[theirs[used]]
-        points = rays(self.camera, known.reference) / depths.values[:, None]
+        depths, seen = known.depths[mine[used]], tracks[theirs[used]]
+        points = rays(self.camera, seen.reference) / depths.values[:, None]
         with self._stopwatch.stage("pose"):
-            return locate(points, known.current, self.camera, self.settings, self._seed())
+            return locate(points, seen.current, self.camera, self.settings, self._seed())
 
-    def _move_in_map(self, tracks: Tracks, located: gtsam.Pose3) -> _Motion | None:
+    def _move_in_map(self, tracks: Tracks, located: gtsam.Pose3, known: MetricMap) -> _Motion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
         used = self._used(tracks)
         with self._stopwatch.stage("pose"):
             seen = rays(self.camera, tracks.reference)
-            depths = self._map.depths.of(tracks.ids)
+            depths = known.depths.of(tracks.ids)
             refined = refine(located, seen[used], tracks[used], depths[used], self.camera)
         if refined is None or refined.agree.sum() < self.settings.min_inliers:
             return None
         kept = ~used
         kept[used] = refined.agree
-        tracks, known = tracks[kept], self._map
+        tracks = tracks[kept]
         if self._is_worn_out(tracks):  # what is left of the reference is triangulated while it can be
             new = tracks[~np.isin(tracks.ids, known.depths.ids)]
             unit = triangulate(
@@ -273,7 +330,8 @@ class VisualOdometry:
         assert self._reference is not None
         # The mean since the reference: a difference of two poses that are near each other would be mostly noise.
         seconds = frame.stamp - self._reference.stamp
-        self._motion_model.observe(motion.ref_T_cur.mean, seconds, motion.map.variance)
+        passed = frame.stamp - self._last_stamp
+        self._motion_model.observe(motion.ref_T_cur.mean, seconds, motion.map.variance, passed)
         self._ref_T_last, self._last_stamp = motion.ref_T_cur, frame.stamp
         self._seen, self._failures = motion.tracks, 0
         estimate = self._estimate(frame, motion.ref_T_cur, Status.TRACKED)
@@ -290,13 +348,50 @@ class VisualOdometry:
         if len(detect(texture, self._features)) < self.settings.min_inliers:
             return self._coast(frame, Status.COASTED)
         self._failures += 1
-        if self._failures < PATIENCE and self._points >= self.settings.min_inliers:
-            return self._coast(frame, Status.COASTED)
-        return self._refer_after(self._coast(frame, Status.REINITIALISED), frame)
+        patient = self._failures < PATIENCE and self._points >= self.settings.min_inliers
+        estimate = self._coast(frame, Status.COASTED if patient else Status.REINITIALISED)
+        estimate = replace(estimate, prev_T_cur=estimate.prev_T_cur.carried(self._typical_depth()))
+        if patient:
+            return estimate
+        if self._reference is not None and len(self._map) >= self.settings.min_inliers:
+            association = copy(self._association)
+            self._lost.append(_Reference(self._reference, self._points, self._map, association, self._last_stamp))
+        return replace(self._refer_after(estimate, frame), awaited=self._awaited)
+
+    @property
+    def _awaited(self) -> tuple[int, ...]:
+        """Indices of the references that were lost and are looked for."""
+        return tuple(lost.frame.index for lost in self._lost)
+
+    def _found_again(self, frame: Frame) -> VoEstimate | None:
+        """The motion from a reference that was lost, where this image fits it."""
+        while self._lost and frame.stamp - self._lost[0].stamp > MEMORY:
+            self._lost.popleft()
+        for reference in list(self._lost):
+            motion = self._return_to(reference, frame)
+            if motion is not None:
+                self._lost.clear()
+                self._reference, self._last_stamp = reference.frame, reference.stamp
+                estimate = self._accept(frame, motion)
+                self._refer_to(frame, motion.tracks, estimate.map)
+                return estimate
+        return None
+
+    def _return_to(self, reference: _Reference, frame: Frame) -> _Motion | None:
+        """The motion from another reference, if enough of its points are found, and most of these agree."""
+        assert frame.image is not None
+        with self._stopwatch.stage("association"):
+            tracks = reference.association.track(frame.image)
+        if len(tracks) < ENOUGH * self.settings.min_inliers:
+            return None
+        located = self._locate(tracks, reference.map)
+        motion = None if located is None else self._move_in_map(tracks, located, reference.map)
+        return motion if motion and len(motion.tracks) >= self.settings.keyframe_tracks * len(tracks) else None
 
     def _refer_after(self, estimate: VoEstimate, frame: Frame) -> VoEstimate:
         """Begin anew at this frame, whose pose is that of the estimate."""
         self._refer_to(frame, Tracks.none(), MetricMap.empty())
+        self._motion_model.coast(frame.stamp - self._last_stamp)
         self._last_stamp = frame.stamp
         return estimate
 
@@ -315,6 +410,7 @@ class VisualOdometry:
         self._reference, self._map, self._points = frame, known, len(self._seen)
         self._ref_T_last = GaussianPose.identity()
         self._failures = 0
+        self._plausibility.forget()
 
     def _guess(self, unit: InverseDepths) -> LogScale:
         """The scale at which triangulated points are as far away as things usually are."""
@@ -336,4 +432,4 @@ class VisualOdometry:
 
     def _estimate(self, frame: Frame, ref_T_cur: GaussianPose, status: Status) -> VoEstimate:
         reference = self._first if self._reference is None else self._reference.index
-        return VoEstimate(frame.index, reference, ref_T_cur, status, times=self._stopwatch.times)
+        return VoEstimate(frame.index, reference, ref_T_cur, status, awaited=self._awaited, times=self._stopwatch.times)

@@ -21,8 +21,8 @@ def test_frame_to_frame():
     for index in range(1, 6):
         chain.add(index, index - 1, step(index))
         expected = expected.compose(step(index))
-    assert chain.motion.mean.equals(expected.mean, 1e-12)
-    assert chain.motion.covariance == pytest.approx(expected.covariance)
+    assert chain.motion.pose.mean.equals(expected.mean, 1e-12)
+    assert chain.motion.pose.covariance == pytest.approx(expected.covariance)
 
 
 def test_several_frames_against_one():
@@ -30,9 +30,9 @@ def test_several_frames_against_one():
     chain.add(0, 0, GaussianPose.identity())
     for index in (1, 2, 3):
         chain.add(index, 0, step(index))
-        assert chain.motion.mean.equals(step(index).mean, 1e-12)
+        assert chain.motion.pose.mean.equals(step(index).mean, 1e-12)
     chain.add(4, 3, step(4))
-    assert chain.motion.mean.equals(step(3).compose(step(4)).mean, 1e-12)
+    assert chain.motion.pose.mean.equals(step(3).compose(step(4)).mean, 1e-12)
 
 
 def test_an_anchor_between_reference_and_frame():
@@ -41,12 +41,12 @@ def test_an_anchor_between_reference_and_frame():
     chain.add(0, 0, GaussianPose.identity())
     chain.add(1, 0, step(1))
     chain.anchor()
-    assert chain.motion.mean.equals(gtsam.Pose3(), 0) and not chain.motion.covariance.any()
+    assert chain.motion.pose.mean.equals(gtsam.Pose3(), 0) and not chain.motion.pose.covariance.any()
     chain.add(2, 0, step(2))
-    assert chain.motion.mean.equals(step(1).mean.between(step(2).mean), 1e-12)
-    assert chain.motion.covariance == pytest.approx(step(2).covariance)
+    assert chain.motion.pose.mean.equals(step(1).mean.between(step(2).mean), 1e-12)
+    assert chain.motion.pose.covariance == pytest.approx(step(2).covariance)
     chain.add(3, 2, step(3))
-    assert chain.motion.mean.equals(step(1).mean.between(step(2).mean).compose(step(3).mean), 1e-12)
+    assert chain.motion.pose.mean.equals(step(1).mean.between(step(2).mean).compose(step(3).mean), 1e-12)
 
 
 @pytest.mark.parametrize("goes_on", [False, True])
@@ -64,8 +64,8 @@ def test_two_motions_against_one_frame(goes_on):
             chain.add(index, 0, GaussianPose(gtsam.Pose3.Expmap(error), variance * np.eye(6)))
             if index == 1:
                 chain.anchor()
-        errors.append(gtsam.Pose3.Logmap(chain.motion.mean))
-        covariances.append(chain.motion.covariance)
+        errors.append(gtsam.Pose3.Logmap(chain.motion.pose.mean))
+        covariances.append(chain.motion.pose.covariance)
     mean = nees(np.array(errors), np.array(covariances))[0].mean()
     assert (1.8 < mean < 2.2) if goes_on else (5.6 < mean < 6.4)  # a third of the variance; all of it
 
@@ -76,8 +76,8 @@ def test_an_anchor_that_is_the_reference():
     chain.add(1, 0, step(1))
     chain.anchor()
     chain.add(2, 1, step(2))
-    assert chain.motion.mean.equals(step(2).mean, 1e-12)
-    assert chain.motion.covariance == pytest.approx(step(2).covariance)
+    assert chain.motion.pose.mean.equals(step(2).mean, 1e-12)
+    assert chain.motion.pose.covariance == pytest.approx(step(2).covariance)
 
 
 def test_nothing_usable_at_first():
@@ -85,4 +85,34 @@ def test_nothing_usable_at_first():
     for index in range(3):
         chain.add(index, 0, step(index))  # coasting from a start that no image has shown
     chain.add(3, 3, step(3))
-    assert chain.motion.mean.equals(step(3).mean, 1e-12)
+    assert chain.motion.pose.mean.equals(step(3).mean, 1e-12)
+
+
+@pytest.mark.parametrize("anchored", [False, True])
+def test_a_motion_from_a_frame_that_was_lost(anchored):
+    """Frame 1 is lost, frame 2 not where it is thought to be, and frame 4 is measured against frame 1 again."""
+    chain = OdometryChain()
+    chain.add(0, 0, GaussianPose.identity())
+    chain.add(1, 0, step(1))
+    vague = GaussianPose(step(2).mean, 100 * np.eye(6))
+    chain.add(2, 1, vague, awaited=(1,), measured=False)
+    if anchored:
+        chain.anchor()
+    chain.add(3, 2, step(3), awaited=(1,))
+    chain.add(4, 1, step(4))
+    expected = step(1).mean.compose(step(4).mean)
+    if anchored:
+        expected = step(1).mean.compose(vague.mean).between(expected)
+    assert chain.motion.whole.mean.equals(expected, 1e-9)
+    # What was vague does not matter any more, unless the anchor is where it ended.
+    assert bool(np.trace(chain.motion.whole.covariance) > 100) == anchored
+
+
+def test_an_anchor_that_something_else_knows_better():
+    chain = OdometryChain()
+    chain.add(0, 0, GaussianPose.identity())
+    chain.add(1, 0, step(1), awaited=(0,))
+    chain.add(2, 1, step(2), awaited=(0,))
+    chain.anchor(step(5))
+    chain.add(3, 0, step(3))
+    assert chain.motion.whole.mean.equals(step(5).mean.between(step(3).mean), 1e-9)

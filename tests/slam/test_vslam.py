@@ -136,8 +136,8 @@ def test_a_blind_moment_is_passed_over():
     status = {estimate.index: estimate.status for estimate in estimates}
     assert [status[i] for i in (9, 10, 11, 12)] == [Status.TRACKED, Status.COASTED, Status.COASTED, Status.TRACKED]
     traces = {estimate.index: np.trace(estimate.pose.covariance) for estimate in estimates}
-    assert traces[11] > 2 * traces[10] and traces[10] > 1.3 * traces[9]  # measured 3.7 and 1.6
-    assert traces[12] < traces[11]  # the map is still there
+    assert min(traces[10], traces[11]) > 50 * traces[9]  # the camera may have been carried away
+    assert traces[12] < 3 * traces[9]  # the map is still there
     errors, covariances = pose_errors(scene, estimates)
     assert nees(errors, covariances)[0].max() < 40
 
@@ -165,6 +165,19 @@ def test_a_lost_map_is_rebuilt_and_the_pose_kept():
     last, first = by_index[12].pose.mean, by_index[13]
     assert first.pose.mean.equals(last.compose(first.prev_T_cur.mean), 0.02)
     assert np.trace(by_index[20].pose.covariance) > np.trace(by_index[9].pose.covariance)
+
+
+def test_a_lost_map_is_found_again():
+    """In the meantime, the camera may have been carried away, and the next map has a scale of its own."""
+    scene, estimates = lost_and_found(tuple(range(10, 16)))
+    by_index = {estimate.index: estimate for estimate in estimates}
+    assert by_index[12].scale_sigma > 0.5 and np.trace(by_index[12].pose.covariance) > 100
+    back = by_index[16]
+    assert back.status is Status.TRACKED and back.previous == 9
+    assert back.scale_sigma < 0.05 and np.trace(back.pose.covariance) < 1.0
+    truth = scene.trajectory.poses
+    assert back.prev_T_cur.mean.equals(truth[9].between(truth[16]), 0.3)  # of 0.7 s of flight
+    assert by_index[17].previous == 16
 
 
 def test_gaps_change_the_step_and_not_the_code():

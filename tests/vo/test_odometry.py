@@ -1,5 +1,6 @@
 """The step of visual odometry: what it makes of good images, of bad ones and of none."""
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -166,7 +167,13 @@ def test_standing_still(flight, preset):
 def test_a_camera_that_has_stopped_stays_where_it_is(flight):
     stopped = {index: noisy(flight.frames[8].image, 2.0, index) for index in range(9, 18)}
     estimates = flight.run({**stopped, 18: None, 19: np.zeros_like(flight.frames[0].image)})
-    assert statuses(estimates[9:]) == [Status.STATIC] * 9 + [Status.SKIPPED, Status.COASTED]
+    # That it stops within a frame, at 12 m/s, is not believed before the images insist; then either may be true.
+    assert statuses(estimates[9:11]) == [Status.COASTED] * 2
+    assert statuses(estimates[11:]) == [Status.STATIC] * 7 + [Status.SKIPPED, Status.COASTED]
+    expected = estimates[10].prev_T_cur.mean.translation()
+    stands = estimates[11].prev_T_cur
+    apart = np.linalg.norm(stands.mean.translation() - expected)
+    assert 1.5 < apart < 3 * math.sqrt(np.linalg.eigvalsh(stands.covariance[3:, 3:])[-1]) < 5 * apart
     for estimate in estimates[18:]:
         assert estimate.previous == estimates[17].previous
         assert estimate.prev_T_cur.mean.equals(estimates[17].prev_T_cur.mean, 1e-3)
@@ -200,8 +207,9 @@ def test_turning_among_known_points_does_not_travel(flight):
     place = [gtsam.Pose3()]
     for estimate in estimates[1:]:
         place.append(place[estimate.previous].compose(estimate.prev_T_cur.mean))
-    assert all(estimate.status in (Status.TRACKED, Status.STATIC) for estimate in estimates)
-    for index, turn in enumerate(turns):
+    seen = [estimate.status in (Status.TRACKED, Status.STATIC) for estimate in estimates]
+    assert all(seen[:6]) and all(seen[8:])  # in between, it is not believed that the flight ends at once
+    for index, turn in list(enumerate(turns))[3:]:
         moved = place[5].between(place[5 + index])
         assert length(moved) < 0.05  # measured 0.011 m, 30 m from the ground
         assert angle(moved.between(gtsam.Pose3(turn, np.zeros(3)))) < 1e-3  # measured 2.8e-4 rad

@@ -1,0 +1,111 @@
+"""Whether a measured motion is believed, although the camera can hardly have moved so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.estimates import GaussianPose
+
+GATE = 225.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted,
+AGREE = 22.458  # but once in doubt, less: 99.9 % quantile of the chi-square distribution with six degrees of freedom
+INSISTENCE = 3  # implausible motions in a row that agree with each other: what the images insist on is believed
+AGED = 3.0  # standard deviations, within which a velocity has become so old that it allows for another one
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """A motion against the reference, which was not believed."""
+
+    stamp: float
+    pose: GaussianPose
+
+
+@dataclass(frozen=True)
+class _Doubt:
+    """Two stories of how the camera moves, of which either may be right: that of the images, and the expected one.
+
+    Attributes:
+        start: Stamp where they part.
+        twist: (6,) difference of their velocities, rad/s and m/s.
+        seconds: After which forces may have made one velocity of the other, so that the first one tells nothing more.
+    """
+
+    start: float
+    twist: Array
+    seconds: float
+
+    def covariance(self, stamp: float) -> Array:
+        """(6, 6) of a mixture of both, each with probability one half, beyond what each has of its own."""
+        apart = self.twist * float(np.clip(stamp - self.start, 0.0, self.seconds)) / 2
+        return np.outer(apart, apart)
+
+
+class Plausibility:
+    """Holds measured motions against what the motion model expects.
+
+    One that forces can hardly have brought about is not believed: images may come in the wrong order, freeze, or show
+    something that moves itself. If they insist, the motion model may be wrong as well, and both are possible from then
+    on, which the covariance says.
+    """
+
+    def __init__(self) -> None:
+        self._refused: list[_Measured] = []  # in a row
+        self._doubts: list[_Doubt] = []
+        self._believed = 0.0  # stamp of the last motion that was
+        self.insisted = False  # whether it was only since the images insisted
+
+    def judged(
+        self, measured: GaussianPose, expected: GaussianPose, stamp: float, start: float, accelerations: Array
+    ) -> GaussianPose | None:
+        """The measured motion with a covariance that says how far it is to be believed; None where it is not.
+
+        Args:
+            measured: ref_T_cur of the images,
+            expected: and of the motion model.
+            stamp: Of the current image,
+            start: and of the reference.
+            accelerations: (6,) standard deviations, rad/s^2 and m/s^2.
+        """
+        error, surprise = _difference(expected, measured)
+        self.insisted = False
+        if surprise > (AGREE if self._refused else GATE):
+            self._refused = [*self._refused[1 - INSISTENCE :], _Measured(stamp, measured)]
+            if not self._insisted(accelerations):
+                return None
+            self.insisted = True
+            twist = error / (stamp - self._believed)
+            seconds = float(np.linalg.norm(twist / accelerations)) / AGED
+            self._doubts.append(_Doubt(self._believed, twist, max(seconds, stamp - self._believed)))
+        self.forget()
+        self._believed = stamp
+        self._doubts = [doubt for doubt in self._doubts if doubt.start + doubt.seconds > start]
+        # What was open up to the reference is in its own pose.
+        open_now = [doubt.covariance(stamp) - doubt.covariance(start) for doubt in self._doubts]
+        return GaussianPose(measured.mean, measured.covariance + sum(open_now, np.zeros((6, 6))))
+
+    def forget(self) -> None:
+        """What was refused was measured against a reference that is none any more."""
+        self._refused = []
+
+    def _insisted(self, accelerations: Array) -> bool:
+        """Whether the motions that were refused go on from each other as those of one camera."""
+        if len(self._refused) < INSISTENCE:
+            return False
+        first, second, third = self._refused[-3:]
+        ahead, behind = third.stamp - second.stamp, second.stamp - first.stamp
+        velocity = gtsam.Pose3.Logmap(first.pose.mean.between(second.pose.mean)) / behind
+        sigmas = accelerations * (ahead + behind) / 2 * ahead
+        expected = second.pose.compose(GaussianPose(gtsam.Pose3.Expmap(velocity * ahead), np.diag(sigmas**2)))
+        return _difference(expected, third.pose)[1] < AGREE
+
+
+def _difference(expected: GaussianPose, measured: GaussianPose) -> tuple[Array, float]:
+    """Of two poses, in the tangent (6,) of the measured one, and in squared deviations."""
+    error = -gtsam.Pose3.Logmap(measured.mean.between(expected.mean))
+    return error, float(error @ np.linalg.solve(expected.covariance + measured.covariance, error))
