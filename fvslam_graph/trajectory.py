@@ -24,8 +24,8 @@ class Status(StrEnum):
 
     TRACKED = "tracked"  # estimated from the image
     STATIC = "static"  # the image did not move
-    COASTED = "coasted"  # too little to see: the motion model carried on
-    SKIPPED = "skipped"  # no image could be read: the motion model carried on
+    COASTED = "coasted"  # too little to see, or not to be believed: the motion model carried on
+    SKIPPED = "skipped"  # no image could be read, or none that is new: the motion model carried on
     REINITIALISED = "reinitialised"  # tracking was lost and begins anew at this pose
 
 

@@ -53,7 +53,7 @@ def test_images_in_the_wrong_order_are_not_followed(street, mode):
     results = list(estimate(disturbed.sequence, load_config(settings=[f"mode={mode}"])))
     assert results[20].status is Status.COASTED and results[22].status is Status.TRACKED
     error = results[22].pose.mean.between(disturbed.sequence.ground_truth.poses[22]).translation()
-    assert np.linalg.norm(error) < 0.3  # of 20 m
+    assert np.linalg.norm(error) < 0.6  # of 20 m; where the images are believed in their order, 1 m and more
 
 
 def test_the_table(script, drive, capsys):

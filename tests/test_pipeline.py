@@ -77,6 +77,15 @@ def test_frames_without_image_are_skipped(sequence):
     assert len(results) == 12
 
 
+def test_a_byte_identical_image_is_no_measurement(sequence):
+    again = replace(sequence, load=lambda index: sequence.load(4 if index == 5 else index))
+    results = list(estimate(again, load_config()))
+    assert [result.index for result in results if result.status is Status.SKIPPED] == [5]
+    moved = results[4].pose.mean.between(results[5].pose.mean).translation()
+    assert np.linalg.norm(moved) > 0.3  # the motion model carries on
+    assert np.trace(results[5].pose.covariance) > np.trace(results[4].pose.covariance)
+
+
 def test_the_scale_is_relative_where_no_ground_is_known(sequence):
     config = load_config()
     assert applicable(config, sequence) is config
@@ -320,3 +329,19 @@ def test_heights_that_are_exact_above_ground_that_is_not():
     results = list(estimate(flown, config))
     assert len(results) == 12 and np.isfinite(results[-1].pose.covariance).all()
     assert results[-1].graph.smoothed().path_length > 5
+
+
+def test_visual_slam_that_has_lost_its_map_is_told_metres_once_more():
+    """Upside down for a while: the map that it makes of that on its own would have a scale of its own, too."""
+    street = rendered("drive", frames=40, size="480x150")
+    flipped = replace(
+        street, load=lambda i: np.ascontiguousarray(street.load(i)[:, ::-1] if 12 <= i < 20 else street.load(i))
+    )
+    results = list(estimate(flipped, load_config(settings=["mode=vslam"])))
+    assert Status.REINITIALISED in {result.status for result in results[12:26]}
+    truth = flipped.ground_truth.poses
+    moved, true = (
+        a.between(b).translation() for a, b in ((truth[32], truth[39]), (results[32].pose.mean, results[39].pose.mean))
+    )
+    assert np.linalg.norm(moved) == pytest.approx(np.linalg.norm(true), rel=0.15)
+    assert results[-1].slam.scale_sigma < 0.2

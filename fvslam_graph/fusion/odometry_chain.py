@@ -44,15 +44,17 @@ class OdometryChain:
             index: Of its frame,
             previous: and of the frame that it was measured against.
             prev_T_cur: The motion,
-            scale_variance: and how much variance of the logarithm of its length its covariance contains.
+            scale_variance: and how much variance of the logarithm of its length its covariance contains; 0 if unknown.
             awaited: Frames besides these two, against which motions to come may be measured.
             measured: Whether images tell it; a motion model's has no noise in common with others.
         """
         nowhere = ScaledPose.of(GaussianPose.identity())
         start = self._since[previous] if previous < index else nowhere  # the first usable image
         kept = {frame: pose for frame, pose in self._since.items() if frame in awaited}
-        end = start.compose(ScaledPose.of(prev_T_cur, scale_variance))
-        self._since = kept | {previous: start, index: end}
+        step = ScaledPose.of(prev_T_cur, scale_variance)
+        if not scale_variance and self._since:  # the motion model goes on in the scale of the last motion
+            step = ScaledPose.of(prev_T_cur, self.motion.variance).replaced(prev_T_cur)
+        self._since = kept | {previous: start, index: start.compose(step)}
         self._newest, self._motion, self._measured = (previous, index), prev_T_cur, measured
 
     def anchor(self, moved: GaussianPose | None = None) -> None:

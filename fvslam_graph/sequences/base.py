@@ -39,7 +39,8 @@ class Frame:
 class Newness:
     """Tells images from repetitions: a byte-identical one is a duplicate, not a camera that stands.
 
-    A driver that has no new image delivers the last one again; of the camera it says nothing.
+    A driver that has no new image delivers the last one again; of the camera it says nothing. Images without any
+    contrast, as in the dark, may well be the same.
     """
 
     def __init__(self) -> None:
@@ -49,7 +50,7 @@ class Newness:
         """The frame; without its image where that is a repetition of the last one."""
         if frame.image is None:
             return frame
-        if self._last is not None and np.array_equal(frame.image, self._last):
+        if self._last is not None and np.array_equal(frame.image, self._last) and np.ptp(frame.image) > 0:
             return replace(frame, image=None)
         self._last = frame.image
         return frame

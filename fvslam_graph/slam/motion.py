@@ -13,6 +13,8 @@ from fvslam_graph.slam.covariances import sparse_rows, symmetric, transformed
 from fvslam_graph.slam.landmarks import Array, points_seen_from, rays_seen_from
 from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State
 
+SCALE_WALK = 0.04  # of log scale
+
 
 def predict_constant_velocity(state: State, seconds: float, settings: SlamSettings, surprise: float = 1.0) -> State:
     """The velocity of the next step: that of the last one, driven by white noise `surprise` times as strong as usual.
@@ -23,6 +25,17 @@ def predict_constant_velocity(state: State, seconds: float, settings: SlamSettin
     densities = (surprise * np.repeat([settings.angular_noise, settings.linear_noise], 3)) ** 2
     covariance = state.covariance.copy()
     covariance[VELOCITY, VELOCITY] += np.diag(densities * seconds)
+    return replace(state, covariance=covariance)
+
+
+def with_scale_walk(state: State, renewed: float) -> State:
+    """The scale as it is handed on, from landmarks that go out of view to the share `renewed` that begins.
+
+    It drifts, by SCALE_WALK for a map that is renewed as a whole. No image tells by how much: it is what depths err
+    alike, on roads, or because something moves itself.
+    """
+    covariance = state.covariance.copy()
+    covariance[SCALE, SCALE] += SCALE_WALK**2 * renewed
     return replace(state, covariance=covariance)
 
 

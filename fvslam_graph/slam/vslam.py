@@ -29,6 +29,7 @@ from fvslam_graph.slam.motion import (
     predict_from_odometry,
     reanchored,
     travelled,
+    with_scale_walk,
 )
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
 from fvslam_graph.slam.records import NO_TRACK
@@ -173,6 +174,9 @@ class VSlam:
             self._seen = before
         with self._stopwatch.stage("map"):
             state = self._brought_up_to_date(sighting.state, frame, sighting.searched, status, points)
+            if odometry is None:  # which knows the scale better
+                new = ~np.isin(state.ids, sighting.state.ids)
+                state = with_scale_walk(state, float(new.mean()) if len(new) else 0.0)
             estimate = self._arrive(frame, state, sighting.motion, sighting.searched, status, sighting.previous)
         if status is Status.COASTED and textured:
             return replace(estimate, pose=estimate.pose.carried(self._map.distance))

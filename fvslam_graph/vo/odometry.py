@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import Config, ScaleSource
-from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
+from fvslam_graph.estimates import GaussianPose, LogScale, ScaledPose, ScaleStep
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
@@ -396,8 +396,11 @@ class VisualOdometry:
         return estimate
 
     def _coast(self, frame: Frame, status: Status) -> VoEstimate:
-        """The motion model carries on from the last usable image."""
-        return self._estimate(frame, self._predict(frame), status)
+        """The motion model carries on from the last usable image, in the scale that its velocity has."""
+        step, variance = self._motion_model.predict(frame.stamp - self._last_stamp), self._motion_model.log_variance
+        last = ScaledPose.of(self._ref_T_last, variance).replaced(self._ref_T_last)
+        pose = last.compose(ScaledPose.of(step.with_scale_variance(variance), variance)).whole
+        return self._estimate(frame, pose, status)
 
     def _predict(self, frame: Frame) -> GaussianPose:
         """ref_T_cur as the motion model has it."""

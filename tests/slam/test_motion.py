@@ -13,6 +13,7 @@ from fvslam_graph.slam.motion import (
     predict_from_odometry,
     reanchored,
     travelled,
+    with_scale_walk,
 )
 from fvslam_graph.slam.state import POSE, SCALE, VELOCITY
 
@@ -91,3 +92,14 @@ def test_reanchoring_leaves_the_map_as_it_is(random_state):
     assert np.array_equal(anchored.covariance[POSE, POSE], pose.covariance)
     assert np.all(anchored.covariance[POSE, 6:] == 0)
     assert anchored.world_T_camera.equals(pose.mean, 0)
+
+
+def test_a_map_that_is_renewed_drifts_in_scale(random_state):
+    """By which no image is predicted anywhere else, and the way travelled is less certain."""
+    state = random_state(0)
+    half, whole = (with_scale_walk(state, renewed) for renewed in (0.5, 1.0))
+    added = whole.covariance - state.covariance
+    assert added[SCALE, SCALE] > 0 and np.count_nonzero(added) == 1
+    assert (half.covariance - state.covariance)[SCALE, SCALE] == pytest.approx(added[SCALE, SCALE] / 2)
+    before, after = (last_motion(compose(each, SECONDS), SECONDS) for each in (state, whole))
+    assert np.trace(after.covariance) > np.trace(before.covariance)
