@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fvslam_graph.estimates import GaussianPose
 
 ACCELERATION = np.repeat([1.0, 3.0], 3)  # rad/s^2 and m/s^2, standard deviations
-GATE = 100.0  # squared deviations: accelerations have heavy tails, jolts and sudden stops are not to be replaced
+GATE = 22.458  # 99.9 % quantile of the chi-square distribution with six degrees of freedom
 PATIENCE = 4  # implausible motions in a row, after which it is the expectation that is wrong
 
 

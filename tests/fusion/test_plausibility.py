@@ -8,7 +8,7 @@ from fvslam_graph.estimates import GaussianPose
 from fvslam_graph.fusion.plausibility import PATIENCE, Plausibility
 
 FORWARD = gtsam.Pose3(gtsam.Rot3.Yaw(0.01), np.array([0.0, 0.0, 1.0]))
-JUMP = gtsam.Pose3(gtsam.Rot3(), np.array([3.0, 0.0, 1.0]))
+JUMP = gtsam.Pose3(gtsam.Rot3(), np.array([0.8, 0.0, 1.0]))
 
 
 def sure(pose: gtsam.Pose3) -> GaussianPose:
