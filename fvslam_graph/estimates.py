@@ -47,7 +47,7 @@ class GaussianPose:
         """The same with so much more variance of the logarithm of its length; less, where it is negative."""
         return GaussianPose(self.mean, self.covariance + variance * np.outer(self.travel, self.travel))
 
-    def carried(self, distance: float) -> GaussianPose:
+    def after_loss(self, distance: float) -> GaussianPose:
         """The same where nothing of the scene, `distance` metres away, was found again; the mean is a motion model's.
 
         Nobody knows how far the camera was carried: mostly it is where it was expected. But that nothing of the scene
@@ -147,6 +147,27 @@ class ScaleStep:
     measured: LogScale | None = None
     shared: float = 0.0
     lasting: float = 0.0
+
+
+@dataclass(frozen=True)
+class OdometryStep:
+    """The motion of one frame by odometry, with all that fusion needs to know of it.
+
+    Attributes:
+        previous: Index of the frame that the motion starts from.
+        prev_T_cur: The motion.
+        scale: What was learnt of its scale; None where it has that of the map in the earlier frame.
+        scale_variance: How much of its covariance is due to the logarithm of the scale; 0 where that is not known.
+        awaited: Frames besides this one and the previous one, against which motions to come may be measured.
+        measured: Whether images tell it; a motion model's has no noise in common with others.
+    """
+
+    previous: int
+    prev_T_cur: GaussianPose
+    scale: ScaleStep | None = None
+    scale_variance: float = 0.0
+    awaited: tuple[int, ...] = ()
+    measured: bool = True
 
 
 @dataclass(frozen=True)

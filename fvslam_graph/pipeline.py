@@ -20,7 +20,7 @@ from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.fusion.interleave import Interleave
 from fvslam_graph.fusion.intersection import Intersection
 from fvslam_graph.results import FrameResult
-from fvslam_graph.sequences.base import Frame, Newness, Sequence
+from fvslam_graph.sequences.base import DuplicateFilter, Frame, Sequence
 from fvslam_graph.slam.estimate import Outcome, SlamEstimate
 from fvslam_graph.slam.finder import LandmarkFinder
 from fvslam_graph.slam.patch_finder import PatchFinder
@@ -76,20 +76,18 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     fusion = _fusion(sequence, config)
     interleave = Interleave(config.interleave, config.slam.shorten)
-    newness = Newness()
+    duplicates = DuplicateFilter()
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
         with stopwatch.stage("read"):
-            frame = newness.checked(sequence.frame(index))
+            frame = duplicates.filtered(sequence.frame(index))
 
         # O_f: visual odometry, on every frame.
         odometry: VoEstimate | None = None
         if config.needs_odometry or not vslam.started:
             odometry = vo.step(frame, vslam.tracks if config.tracks_apart else None)
             previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
-            scale, variance, awaited = odometry.scale, odometry.map.variance, odometry.awaited
-            measured = status in (Status.TRACKED, Status.STATIC)
-            fusion.add_odometry(frame, previous, motion, scale, variance, awaited, measured)
+            fusion.add_odometry(frame, odometry.step)
 
         # S_f: visual SLAM, on every k-th frame, from where odometry first knows enough to start it.
         slam: SlamEstimate | None = None

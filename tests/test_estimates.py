@@ -106,7 +106,7 @@ def test_another_estimate_has_room_for_less_of_the_scale():
 
 def test_a_camera_that_may_have_been_carried():
     pose = GaussianPose(gtsam.Pose3(), some_covariance(0, 0.1))
-    carried = pose.carried(12.0)
+    carried = pose.after_loss(12.0)
     more = carried.covariance - pose.covariance
     assert carried.mean.equals(pose.mean, 0) and more == pytest.approx(np.diag(np.diag(more)))
     assert 3 * np.sqrt(more[5, 5]) > 12.0 > np.sqrt(more[5, 5])

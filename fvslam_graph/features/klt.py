@@ -63,7 +63,7 @@ class KltTracker:
         return Tracks(self._ids, points, points, self._covariances)
 
     def _follow(self, reference: Image, image: Image) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Where the points are in the image, (N, 2), and (N,) whether the way back leads to where they were."""
+        """Pixels (N, 2) where the points are in the image, and (N,) whether the way back leads to where they were."""
         found, forward = self._align(reference, image, self._points, self._guess, self.settings.klt_levels)
         # The way back starts at the answer, so that the full image suffices.
         returned, backward = self._align(image, reference, found, self._points, 0)

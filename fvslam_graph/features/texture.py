@@ -31,7 +31,7 @@ class Texture:
 
     @classmethod
     def of(cls, image: Image, octave: int) -> Texture:
-        """Of an image that is halved `octave` times."""
+        """Measure an image that is halved `octave` times."""
         factor = 2**octave
         height, width = (side // factor * factor for side in image.shape)
         small = cv2.resize(image[:height, :width], (width // factor, height // factor), interpolation=cv2.INTER_AREA)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection
 from dataclasses import replace
 
-from fvslam_graph.estimates import GaussianPose, ScaledPose, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaledPose, Views
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.fusion.rule import FusionRule
@@ -40,18 +39,9 @@ class Fusion(ABC):
         """world_T_camera of the newest frame: P_f, carried on by odometry."""
         return self._reference.compose(self._chain.motion).whole
 
-    def add_odometry(
-        self,
-        frame: Frame,
-        previous: int,
-        prev_T_cur: GaussianPose,
-        scale: ScaleStep | None,
-        scale_variance: float,
-        awaited: Collection[int] = (),
-        measured: bool = True,
-    ) -> None:
-        """The motion of a frame, O_f; see `Graph.add_odometry` and `OdometryChain.add`."""
-        self._chain.add(frame.index, previous, prev_T_cur, scale_variance, awaited, measured)
+    def add_odometry(self, frame: Frame, step: OdometryStep) -> None:
+        """Append the motion of a frame, O_f."""
+        self._chain.add(frame.index, step)
 
     def start(self, pose: GaussianPose, views: Views) -> None:
         """Visual SLAM begins at the newest frame, at this pose world_T_camera."""

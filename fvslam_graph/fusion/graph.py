@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
-from fvslam_graph.estimates import GaussianPose, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaleStep, Views
 from fvslam_graph.fusion.factors import (
     SHORT,
     LandmarkFactors,
@@ -65,26 +65,13 @@ class Graph:
         self._start_height = math.nan
         self._begin_batch()
 
-    def add_odometry(
-        self,
-        stamp: float,
-        previous: int,
-        prev_T_cur: GaussianPose,
-        scale: ScaleStep | None = None,
-        scale_variance: float = 0.0,
-    ) -> GaussianPose:
-        """The next frame, with its motion since an earlier one.
-
-        Args:
-            stamp: Seconds.
-            previous: The frame that the motion starts from.
-            prev_T_cur: The motion.
-            scale: What was learnt of its scale; None where it has that of the map in the earlier frame.
-            scale_variance: How much of the covariance is due to the logarithm of the scale.
+    def add_odometry(self, stamp: float, step: OdometryStep) -> GaussianPose:
+        """Append the next frame, at `stamp` seconds, with its motion since an earlier one.
 
         Returns:
             The motion, or what is plausible in its place.
         """
+        previous, prev_T_cur, scale, scale_variance = step.previous, step.prev_T_cur, step.scale, step.scale_variance
         index, taken = len(self._poses), prev_T_cur
         self._stamps.append(stamp)
         if index == 0:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 
 import gtsam
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings, GroundSettings
-from fvslam_graph.estimates import GaussianPose, ScaledPose, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaledPose, Views
 from fvslam_graph.fusion.fusion import Fusion
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.sequences.base import Frame, Ground
@@ -54,26 +53,17 @@ class GraphFusion(Fusion):
         # which share of it is left a frame later.
         self._step, self._left = np.zeros(3), 0.0
 
-    def add_odometry(
-        self,
-        frame: Frame,
-        previous: int,
-        prev_T_cur: GaussianPose,
-        scale: ScaleStep | None,
-        scale_variance: float,
-        awaited: Collection[int] = (),
-        measured: bool = True,
-    ) -> None:
-        """The motion of a frame, and the height above level ground, if this is asked for."""
-        super().add_odometry(frame, previous, prev_T_cur, scale, scale_variance, awaited, measured)
+    def add_odometry(self, frame: Frame, step: OdometryStep) -> None:
+        """Append the motion of a frame, and the height above level ground, if this is asked for."""
+        super().add_odometry(frame, step)
         self._newest = frame.index
         self._step = self._left * self._step
-        motion = self.graph.add_odometry(frame.stamp, previous, prev_T_cur, scale, scale_variance)
-        start = self._poses.get(previous)
+        motion = self.graph.add_odometry(frame.stamp, step)
+        start = self._poses.get(step.previous)
         if start is None:  # beyond the lag, or the first frame
             self._poses = {frame.index: super().pose}
         else:
-            self._poses = {previous: start, frame.index: start.compose(motion)}
+            self._poses = {step.previous: start, frame.index: start.compose(motion)}
         if self._down is not None and frame.height > 0:
             sigma = math.hypot(frame.height_sigma, self._roughness * frame.height)
             self.graph.add_height(frame.height, sigma, self._down)

@@ -36,8 +36,8 @@ class Frame:
     height_sigma: float = 0.0
 
 
-class Newness:
-    """Tells images from repetitions: a byte-identical one is a duplicate, not a camera that stands.
+class DuplicateFilter:
+    """Takes out images that are repeated: a byte-identical one is a duplicate, not a camera that stands.
 
     A driver that has no new image delivers the last one again; of the camera it says nothing. Images without any
     contrast, as in the dark, may well be the same.
@@ -46,8 +46,8 @@ class Newness:
     def __init__(self) -> None:
         self._last: Image | None = None
 
-    def checked(self, frame: Frame) -> Frame:
-        """The frame; without its image where that is a repetition of the last one."""
+    def filtered(self, frame: Frame) -> Frame:
+        """The frame, without its image where that is the last one again."""
         if frame.image is None:
             return frame
         if self._last is not None and np.array_equal(frame.image, self._last) and np.ptp(frame.image) > 0:

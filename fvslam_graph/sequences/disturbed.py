@@ -38,7 +38,7 @@ class Disturbed:
 
 
 Disturbance = Callable[[Sequence, int, np.random.Generator], Disturbed]
-"""Of a sequence, from a frame on."""
+"""Disturbs a sequence from a frame on, with what it takes of chance."""
 
 
 def rearranged(sequence: Sequence, order: Rows[int]) -> Sequence:
@@ -125,7 +125,7 @@ def another_picture(sequence: Sequence, first: int, rng: np.random.Generator) ->
 
 
 def moving_object(sequence: Sequence, first: int, rng: np.random.Generator) -> Disturbed:
-    """Half of the image is something with texture that passes by."""
+    """A surface with texture passes by, in half of the image."""
     height, width = sequence.camera.height, sequence.camera.width
     step = max(1, round(OBJECT_SPEED * width))
     surface = texture((height, width // 2 + LENGTH * step), rng)

@@ -179,7 +179,7 @@ class VSlam:
                 state = with_scale_walk(state, float(new.mean()) if len(new) else 0.0)
             estimate = self._arrive(frame, state, sighting.motion, sighting.searched, status, sighting.previous)
         if status is Status.COASTED and textured:
-            return replace(estimate, pose=estimate.pose.carried(self._map.distance))
+            return replace(estimate, pose=estimate.pose.after_loss(self._map.distance))
         return estimate
 
     def _sight(
@@ -190,7 +190,7 @@ class VSlam:
         points: KnownPoints | None,
         surprise: float,
     ) -> _Sighting:
-        """From an earlier state to the new camera, by what of its map is in the image; arguments as for `step`."""
+        """Step from an earlier state into the new camera, by what the image shows of its map; arguments of `step`."""
         seconds, sigma = frame.stamp - before.stamp, self.settings.pixel_sigma
 
         # Predict the motion, and where it leads the landmarks to.
@@ -237,7 +237,7 @@ class VSlam:
         return _Sighting(state, motion, before.index, before.map_T_camera.compose(prev_T_cur), searched, lost)
 
     def _found_again(self, frame: Frame) -> _Sighting | None:
-        """By a map that was lost some seconds ago, where this image shows it."""
+        """Sight a map that was lost some seconds ago; None where this image does not show it."""
         if self._lost is None or frame.image is None:
             return None
         if frame.stamp - self._lost.stamp > MEMORY:
@@ -318,7 +318,7 @@ class VSlam:
         distance = self._map.distance
         covariance = np.diag(np.repeat([UNKNOWN_RATE, UNKNOWN_RATE * distance], 3) ** 2)
         travel = GaussianPose(gtsam.Pose3.Expmap(state.velocity), covariance + state.covariance[VELOCITY, VELOCITY])
-        pose = GaussianPose(state.world_T_camera, state.covariance[POSE, POSE]).carried(distance)
+        pose = GaussianPose(state.world_T_camera, state.covariance[POSE, POSE]).after_loss(distance)
         alone = State.at(pose.mean, pose.covariance)
         alone.covariance[SCALE, SCALE] = UNKNOWN_SCALE**2
         return predict_from_odometry(alone, travel, 1.0)

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep
+from fvslam_graph.estimates import GaussianPose, LogScale, OdometryStep, ScaleStep
 from fvslam_graph.features.known_points import KnownPoints
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.trajectory import Status
@@ -46,6 +46,12 @@ class VoEstimate:
     parallax: float = math.nan
     awaited: tuple[int, ...] = ()
     times: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def step(self) -> OdometryStep:
+        """The motion, for fusion."""
+        measured = self.status in (Status.TRACKED, Status.STATIC)
+        return OdometryStep(self.previous, self.prev_T_cur, self.scale, self.map.variance, self.awaited, measured)
 
     @property
     def points(self) -> KnownPoints:

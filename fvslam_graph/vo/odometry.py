@@ -350,7 +350,7 @@ class VisualOdometry:
         self._failures += 1
         patient = self._failures < PATIENCE and self._points >= self.settings.min_inliers
         estimate = self._coast(frame, Status.COASTED if patient else Status.REINITIALISED)
-        estimate = replace(estimate, prev_T_cur=estimate.prev_T_cur.carried(self._typical_depth()))
+        estimate = replace(estimate, prev_T_cur=estimate.prev_T_cur.after_loss(self._typical_depth()))
         if patient:
             return estimate
         if self._reference is not None and len(self._map) >= self.settings.min_inliers:

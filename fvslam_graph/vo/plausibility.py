@@ -106,6 +106,6 @@ class Plausibility:
 
 
 def _difference(expected: GaussianPose, measured: GaussianPose) -> tuple[Array, float]:
-    """Of two poses, in the tangent (6,) of the measured one, and in squared deviations."""
+    """Difference of two poses, in the tangent (6,) of the measured one, and in squared deviations."""
     error = -gtsam.Pose3.Logmap(measured.mean.between(expected.mean))
     return error, float(error @ np.linalg.solve(expected.covariance + measured.covariance, error))

@@ -123,7 +123,7 @@ class _Matches:
     def distance(
         self, rotation: gtsam.Rot3, direction: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Of the current points from their epipolar lines."""
+        """Distances of the current points from their epipolar lines, and their Jacobian."""
         return epipolar_distance(self.previous, self.current, rotation, direction, self.focal, self.tracks.covariances)
 
     @cached_property

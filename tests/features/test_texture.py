@@ -37,7 +37,7 @@ def test_covariances_are_symmetric_and_positive_and_at_most_finite(texture):
 
 
 def test_strength_is_the_smaller_eigenvalue(texture):
-    """Of the structure tensor as OpenCV has it, up to its normalisation."""
+    """It is that of the structure tensor as OpenCV has it, up to its normalisation."""
     made = Texture.of(texture(), 1)
     pixels = np.random.default_rng(0).integers(8, (152, 112), (100, 2))
     expected = cv2.cornerMinEigenVal(made.image, 5)[pixels[:, 1], pixels[:, 0]]

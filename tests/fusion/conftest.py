@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, Views
+from fvslam_graph.estimates import GaussianPose, OdometryStep, Views
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.sequences.points import PointScene, simulate_drive
 
@@ -71,7 +71,9 @@ def fed() -> Callable[..., Fed]:
                 motion = motion.retract(rng.uniform(-1, 1, 6) * np.repeat([0.2, 1.0], 3))
             else:
                 motion = motion.retract(noise * MOTION * rng.standard_normal(6))
-            made.graph.add_odometry(float(scene.trajectory.stamps[index]), previous, GaussianPose(motion, covariance))
+            made.graph.add_odometry(
+                float(scene.trajectory.stamps[index]), OdometryStep(previous, GaussianPose(motion, covariance))
+            )
             if index % INTERVAL == 0 and index > 0:
                 views = None
                 if index not in dark:

@@ -9,7 +9,7 @@ import pytest
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.estimates import GaussianPose, OdometryStep
 from fvslam_graph.fusion.factors import is_landmark, landmark_key, pose_key, position_factor
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.graph_files import FACTORS, G2O, LANDMARKS_PLY, VALUES
@@ -132,7 +132,9 @@ def test_standing_still_for_longer_than_the_lag():
     graph = Graph(camera, GraphSettings(lag=2.0))
     turned = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, 0.2, 0.3), np.zeros(3))
     for index in range(161):
-        graph.add_odometry(0.1 * index, 0, GaussianPose(turned if index else gtsam.Pose3(), 1e-6 * np.eye(6)))
+        graph.add_odometry(
+            0.1 * index, OdometryStep(0, GaussianPose(turned if index else gtsam.Pose3(), 1e-6 * np.eye(6)))
+        )
         if index and index % 5 == 0:
             graph.fuse(None)
     smoothed = graph.smoothed()
@@ -268,7 +270,7 @@ def test_satellites_bound_the_drift(fed):
     for index in range(len(poses)):
         previous = max(index - 1, 0)
         motion = poses[previous].between(poses[index]).retract(20 * MOTION * rng.standard_normal(6))
-        graph.add_odometry(0.1 * index, previous, GaussianPose(motion, 400 * np.diag(MOTION**2)))
+        graph.add_odometry(0.1 * index, OdometryStep(previous, GaussianPose(motion, 400 * np.diag(MOTION**2))))
         if index and index % 10 == 0:
             graph.add(position_factor(index, poses[index].translation() + 0.05 * rng.standard_normal(3), 0.05))
     graph.fuse(None)
@@ -283,7 +285,9 @@ def test_heights_bound_the_climb(fed):
     for index in range(11):
         motion = poses[max(index - 1, 0)].between(poses[index])
         climbing = gtsam.Pose3(motion.rotation(), motion.translation() - 0.3 * down * (index > 0))
-        graph.add_odometry(0.1 * index, max(index - 1, 0), GaussianPose(climbing, np.diag([1e-4] * 3 + [1.0] * 3)))
+        graph.add_odometry(
+            0.1 * index, OdometryStep(max(index - 1, 0), GaussianPose(climbing, np.diag([1e-4] * 3 + [1.0] * 3)))
+        )
         graph.add_height(1.65, 0.02, down)
     graph.fuse(None)
     assert graph.smoothed().positions[:, 1] == pytest.approx(np.zeros(11), abs=0.05)
@@ -330,7 +334,7 @@ def test_poses_that_are_not_determined_are_left_out(fed, monkeypatch):
 def test_a_graph_that_cannot_be_solved_says_so_again(fed):
     """What it could not take in is not taken in twice, and the first reason stands."""
     graph = fed(frames=5).graph
-    graph.add_odometry(0.5, 4, GaussianPose(gtsam.Pose3(), np.diag(MOTION**2)))
+    graph.add_odometry(0.5, OdometryStep(4, GaussianPose(gtsam.Pose3(), np.diag(MOTION**2))))
     graph.add(gtsam.PriorFactorPose3(pose_key(99), gtsam.Pose3(), gtsam.noiseModel.Unit.Create(6)))
     for _ in range(2):
         with pytest.raises((EstimationError, RuntimeError, ValueError, IndexError)) as caught:

@@ -6,7 +6,7 @@ import pytest
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, Views
+from fvslam_graph.estimates import GaussianPose, OdometryStep, Views
 from fvslam_graph.fusion.factors import position_factor
 from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.sequences.base import Frame
@@ -26,7 +26,7 @@ def flown(settings: GraphSettings) -> GraphFusion:
     fusion = GraphFusion(CAMERA, settings, None)
     for index, (previous, metres) in enumerate([(0, 0.0), (0, 1.0), (0, 2.0), (0, 3.0), (3, 1.0)]):
         taken = motion(metres, index) if index else GaussianPose.identity()
-        fusion.add_odometry(Frame(index, 0.1 * index, None), previous, taken, None, 0.0)
+        fusion.add_odometry(Frame(index, 0.1 * index, None), OdometryStep(previous, taken, None, 0.0))
         if index == 1:
             fusion.start(fusion.pose, NOTHING)
         if index == 2:
@@ -54,7 +54,7 @@ def test_corrections_are_taken_up_over_an_interval():
     left = []
     for index in range(14):
         taken = motion(metres, index) if index else GaussianPose.identity()
-        fusion.add_odometry(Frame(index, 0.1 * index, None), max(index - 1, 0), taken, None, 0.0)
+        fusion.add_odometry(Frame(index, 0.1 * index, None), OdometryStep(max(index - 1, 0), taken, None, 0.0))
         if index == 1:
             fusion.start(fusion.pose, NOTHING)
         if index == 6:
@@ -75,7 +75,7 @@ def test_odometry_that_starts_beyond_the_lag():
     fusion = GraphFusion(CAMERA, GraphSettings(lag=0.45), None)
     for index in range(13):
         taken = motion(0.1 * index, index) if index else GaussianPose.identity()
-        fusion.add_odometry(Frame(index, 0.1 * index, None), 0, taken, None, 0.0)
+        fusion.add_odometry(Frame(index, 0.1 * index, None), OdometryStep(0, taken, None, 0.0))
         if index == 1:
             fusion.start(fusion.pose, NOTHING)
         elif index % 5 == 0 and index:

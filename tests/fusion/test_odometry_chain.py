@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.estimates import GaussianPose, OdometryStep
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 
@@ -17,9 +17,9 @@ def step(seed: int) -> GaussianPose:
 
 def test_frame_to_frame():
     chain, expected = OdometryChain(), GaussianPose.identity()
-    chain.add(0, 0, GaussianPose.identity())
+    chain.add(0, OdometryStep(0, GaussianPose.identity()))
     for index in range(1, 6):
-        chain.add(index, index - 1, step(index))
+        chain.add(index, OdometryStep(index - 1, step(index)))
         expected = expected.compose(step(index))
     assert chain.motion.pose.mean.equals(expected.mean, 1e-12)
     assert chain.motion.pose.covariance == pytest.approx(expected.covariance)
@@ -27,25 +27,25 @@ def test_frame_to_frame():
 
 def test_several_frames_against_one():
     chain = OdometryChain()
-    chain.add(0, 0, GaussianPose.identity())
+    chain.add(0, OdometryStep(0, GaussianPose.identity()))
     for index in (1, 2, 3):
-        chain.add(index, 0, step(index))
+        chain.add(index, OdometryStep(0, step(index)))
         assert chain.motion.pose.mean.equals(step(index).mean, 1e-12)
-    chain.add(4, 3, step(4))
+    chain.add(4, OdometryStep(3, step(4)))
     assert chain.motion.pose.mean.equals(step(3).compose(step(4)).mean, 1e-12)
 
 
 def test_an_anchor_between_reference_and_frame():
     """Frames 1 and 2 were measured against frame 0; the anchor is frame 1."""
     chain = OdometryChain()
-    chain.add(0, 0, GaussianPose.identity())
-    chain.add(1, 0, step(1))
+    chain.add(0, OdometryStep(0, GaussianPose.identity()))
+    chain.add(1, OdometryStep(0, step(1)))
     chain.anchor()
     assert chain.motion.pose.mean.equals(gtsam.Pose3(), 0) and not chain.motion.pose.covariance.any()
-    chain.add(2, 0, step(2))
+    chain.add(2, OdometryStep(0, step(2)))
     assert chain.motion.pose.mean.equals(step(1).mean.between(step(2).mean), 1e-12)
     assert chain.motion.pose.covariance == pytest.approx(step(2).covariance)
-    chain.add(3, 2, step(3))
+    chain.add(3, OdometryStep(2, step(3)))
     assert chain.motion.pose.mean.equals(step(1).mean.between(step(2).mean).compose(step(3).mean), 1e-12)
 
 
@@ -58,10 +58,10 @@ def test_two_motions_against_one_frame(goes_on):
         first = noise[0] + noise[1]
         both = (first, first + noise[2]) if goes_on else (first, noise[0] + noise[2])
         chain = OdometryChain()
-        chain.add(0, 0, GaussianPose.identity())
+        chain.add(0, OdometryStep(0, GaussianPose.identity()))
         variances = 2e-4, 3e-4 if goes_on else 2e-4
         for index, (error, variance) in enumerate(zip(both, variances, strict=True), 1):
-            chain.add(index, 0, GaussianPose(gtsam.Pose3.Expmap(error), variance * np.eye(6)))
+            chain.add(index, OdometryStep(0, GaussianPose(gtsam.Pose3.Expmap(error), variance * np.eye(6))))
             if index == 1:
                 chain.anchor()
         errors.append(gtsam.Pose3.Logmap(chain.motion.pose.mean))
@@ -72,10 +72,10 @@ def test_two_motions_against_one_frame(goes_on):
 
 def test_an_anchor_that_is_the_reference():
     chain = OdometryChain()
-    chain.add(0, 0, GaussianPose.identity())
-    chain.add(1, 0, step(1))
+    chain.add(0, OdometryStep(0, GaussianPose.identity()))
+    chain.add(1, OdometryStep(0, step(1)))
     chain.anchor()
-    chain.add(2, 1, step(2))
+    chain.add(2, OdometryStep(1, step(2)))
     assert chain.motion.pose.mean.equals(step(2).mean, 1e-12)
     assert chain.motion.pose.covariance == pytest.approx(step(2).covariance)
 
@@ -83,8 +83,8 @@ def test_an_anchor_that_is_the_reference():
 def test_nothing_usable_at_first():
     chain = OdometryChain()
     for index in range(3):
-        chain.add(index, 0, step(index))  # coasting from a start that no image has shown
-    chain.add(3, 3, step(3))
+        chain.add(index, OdometryStep(0, step(index)))  # coasting from a start that no image has shown
+    chain.add(3, OdometryStep(3, step(3)))
     assert chain.motion.pose.mean.equals(step(3).mean, 1e-12)
 
 
@@ -92,14 +92,14 @@ def test_nothing_usable_at_first():
 def test_a_motion_from_a_frame_that_was_lost(anchored):
     """Frame 1 is lost, frame 2 not where it is thought to be, and frame 4 is measured against frame 1 again."""
     chain = OdometryChain()
-    chain.add(0, 0, GaussianPose.identity())
-    chain.add(1, 0, step(1))
+    chain.add(0, OdometryStep(0, GaussianPose.identity()))
+    chain.add(1, OdometryStep(0, step(1)))
     vague = GaussianPose(step(2).mean, 100 * np.eye(6))
-    chain.add(2, 1, vague, awaited=(1,), measured=False)
+    chain.add(2, OdometryStep(1, vague, awaited=(1,), measured=False))
     if anchored:
         chain.anchor()
-    chain.add(3, 2, step(3), awaited=(1,))
-    chain.add(4, 1, step(4))
+    chain.add(3, OdometryStep(2, step(3), awaited=(1,)))
+    chain.add(4, OdometryStep(1, step(4)))
     expected = step(1).mean.compose(step(4).mean)
     if anchored:
         expected = step(1).mean.compose(vague.mean).between(expected)
@@ -110,9 +110,9 @@ def test_a_motion_from_a_frame_that_was_lost(anchored):
 
 def test_an_anchor_that_something_else_knows_better():
     chain = OdometryChain()
-    chain.add(0, 0, GaussianPose.identity())
-    chain.add(1, 0, step(1), awaited=(0,))
-    chain.add(2, 1, step(2), awaited=(0,))
+    chain.add(0, OdometryStep(0, GaussianPose.identity()))
+    chain.add(1, OdometryStep(0, step(1), awaited=(0,)))
+    chain.add(2, OdometryStep(1, step(2), awaited=(0,)))
     chain.anchor(step(5))
-    chain.add(3, 0, step(3))
+    chain.add(3, OdometryStep(0, step(3)))
     assert chain.motion.whole.mean.equals(step(5).mean.between(step(3).mean), 1e-9)

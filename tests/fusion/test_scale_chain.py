@@ -10,7 +10,7 @@ import pytest
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings, ScaleSettings
-from fvslam_graph.estimates import GaussianPose, LogScale, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, LogScale, OdometryStep, ScaleStep, Views
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.fusion.factors import length_factor, motion_factor, pose_key, position_factor
 from fvslam_graph.fusion.graph import Graph
@@ -53,9 +53,9 @@ def motion(step: ScaleStep) -> GaussianPose:
 
 def fed(made: list[ScaleStep], **settings) -> Graph:
     graph = Graph(CAMERA, GraphSettings(landmarks="none", **settings))
-    graph.add_odometry(0.0, 0, GaussianPose.identity())
+    graph.add_odometry(0.0, OdometryStep(0, GaussianPose.identity()))
     for number, step in enumerate(made):
-        graph.add_odometry(0.1 * (number + 1), number, motion(step), step, step.length.variance)
+        graph.add_odometry(0.1 * (number + 1), OdometryStep(number, motion(step), step, step.length.variance))
         if number % 5 == 4:
             graph.fuse(None)
     return graph
@@ -66,11 +66,13 @@ def published(seed: int, online: str) -> list[GaussianPose]:
     """The pose of every frame at its time, over fifty steps."""
     made = steps(50, seed)
     fusion = GraphFusion(CAMERA, GraphSettings(landmarks="none", online=online), None)
-    fusion.add_odometry(Frame(0, 0.0, None), 0, GaussianPose.identity(), None, 0.0)
+    fusion.add_odometry(Frame(0, 0.0, None), OdometryStep(0, GaussianPose.identity(), None, 0.0))
     poses = [fusion.pose]
     for number, step in enumerate(made):
         index = number + 1
-        fusion.add_odometry(Frame(index, 0.1 * index, None), number, motion(step), step, step.length.variance)
+        fusion.add_odometry(
+            Frame(index, 0.1 * index, None), OdometryStep(number, motion(step), step, step.length.variance)
+        )
         if number == 0:
             fusion.start(fusion.pose, NOTHING)
         elif index % 5 == 0:
@@ -127,9 +129,9 @@ def test_what_is_published_is_as_far_off_as_it_says(seeds):
 def test_a_path_that_moves_by_more_than_a_step():
     """A position from outside moves it all at once, and new poses come before it is linearised again."""
     graph = Graph(CAMERA, GraphSettings(landmarks="none", odometry="essential"))
-    graph.add_odometry(0.0, 0, GaussianPose.identity())
+    graph.add_odometry(0.0, OdometryStep(0, GaussianPose.identity()))
     for index, step in enumerate(steps(70), 1):
-        graph.add_odometry(0.1 * index, index - 1, motion(step), step, step.length.variance)
+        graph.add_odometry(0.1 * index, OdometryStep(index - 1, motion(step), step, step.length.variance))
         if index == 53:
             graph.add(position_factor(50, 1.1 * TRUE[50].translation(), 0.01))
         graph.fuse(None)
@@ -160,12 +162,12 @@ def test_a_scale_in_common_does_not_average_out():
 def test_a_scale_that_nothing_measures_is_a_convention(relative):
     """Else, motions that contradict each other would shrink the path to a point, where they differ by no metres."""
     graph = Graph(CAMERA, GraphSettings(landmarks="none", kernel="none"), relative)
-    graph.add_odometry(0.0, 0, GaussianPose.identity())
+    graph.add_odometry(0.0, OdometryStep(0, GaussianPose.identity()))
     for number in range(12):
         unknown = number in (0, 6)  # odometry begins anew at the seventh
         carried = LogScale(math.log(METRES), 1.0 if unknown else DRIFT**2)
         step = ScaleStep(LogScale(math.log(METRES), 1.0), carried)
-        graph.add_odometry(0.1 * (number + 1), number, motion(step), step, 1.0)
+        graph.add_odometry(0.1 * (number + 1), OdometryStep(number, motion(step), step, 1.0))
     for first, last in ((0, 5), (7, 12)):
         aside = TRUE[first].between(TRUE[last]) * gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.0, 0.0]))
         told = GaussianPose(aside, np.diag(np.repeat([0.1, 0.01], 3) ** 2))
@@ -181,7 +183,7 @@ def test_a_frame_that_is_located_has_the_scale_of_its_map():
     small = GaussianPose(gtsam.Pose3(gtsam.Rot3(), np.array([0, 0, 0.3])), OWN)
     variance = made[-1].length.variance
     for number in range(3):
-        graph.add_odometry(1.1 + 0.1 * number, 10, small.with_scale_variance(variance), None, variance)
+        graph.add_odometry(1.1 + 0.1 * number, OdometryStep(10, small.with_scale_variance(variance), None, variance))
     graph.fuse(None)
     assert not graph.solver.values().exists(scale_key(11))
     assert graph.solver.values().exists(scale_key(10))

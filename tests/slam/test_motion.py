@@ -95,7 +95,7 @@ def test_reanchoring_leaves_the_map_as_it_is(random_state):
 
 
 def test_a_map_that_is_renewed_drifts_in_scale(random_state):
-    """By which no image is predicted anywhere else, and the way travelled is less certain."""
+    """No image is predicted anywhere else by it, and the way travelled is less certain."""
     state = random_state(0)
     half, whole = (with_scale_walk(state, renewed) for renewed in (0.5, 1.0))
     added = whole.covariance - state.covariance

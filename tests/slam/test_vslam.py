@@ -172,7 +172,7 @@ def test_a_lost_map_is_rebuilt_and_the_pose_kept():
 
 
 def test_a_lost_map_is_found_again():
-    """In the meantime, the camera may have been carried away, and the next map has a scale of its own."""
+    """The camera may have been carried away meanwhile, and the next map has a scale of its own."""
     scene, estimates = lost_and_found(tuple(range(10, 16)))
     by_index = {estimate.index: estimate for estimate in estimates}
     assert by_index[12].scale_sigma > 0.5 and np.trace(by_index[12].pose.covariance) > 100

@@ -68,7 +68,7 @@ def test_jacobian_by_finite_differences(camera, two_views, sigma):
 
 
 def test_a_point_of_unknown_depth_tells_what_it_tells_in_two_views(camera, two_views):
-    """At any depth that is assumed, the distance from its epipolar line; nothing along that."""
+    """The distance from its epipolar line, at any depth that is assumed; nothing along that."""
     scene = two_views(MOTION, noise=0.5)
     ray, across = rays(camera, scene.tracks.reference), []
     for factor in (0.5, 1.0, 3.0):
@@ -131,7 +131,7 @@ def test_covariance_holds_the_errors_that_points_share(camera, two_views):
 
 
 def test_points_of_unknown_depth_help(camera, two_views):
-    """Of some twenty known depths alone, the rotation is less certain than with all others beside them."""
+    """The rotation is less certain by some twenty known depths alone than with all others beside them."""
     scene = two_views(MOTION, noise=0.1)
     few = np.arange(len(scene.points)) % 15 == 0
     depths = depths_of(scene, np.where(few, 0.01, np.inf))

@@ -7,12 +7,12 @@ from fvslam_graph.vo.m_estimator import clustered, m_estimator_covariance
 
 
 def covariance_of(residual, jacobian, loss_scale, clusters):
-    """Of measurements of one residual each."""
+    """The covariance by measurements of one residual each."""
     return m_estimator_covariance(residual[:, None], jacobian[:, None], loss_scale, clusters)
 
 
 def test_covariance_of_least_squares():
-    """Where the loss is wide, that of ordinary least squares with the noise of the residuals themselves."""
+    """It is that of ordinary least squares with the noise of the residuals themselves, where the loss is wide."""
     rng = np.random.default_rng(0)
     jacobian = rng.standard_normal((20_000, 3)) * (1.0, 2.0, 5.0)
     covariance = covariance_of(0.5 * rng.standard_normal(20_000), jacobian, 1e3, np.arange(20_000))

@@ -17,12 +17,12 @@ def pose(z: float, sigma: float = 0.01, x: float = 0.0) -> GaussianPose:
 
 
 def expected(stamp: float) -> GaussianPose:
-    """By constant velocity from a reference at 0 s."""
+    """The pose by constant velocity from a reference at 0 s."""
     return GaussianPose(pose(SPEED * stamp).mean, np.diag((0.5 * ACCELERATIONS * stamp**2) ** 2) + 1e-6 * np.eye(6))
 
 
 def driven() -> Plausibility:
-    """After a motion that was as expected, which made the frame at 0 s the reference."""
+    """A judge that has seen one motion as expected, which made the frame at 0 s the reference."""
     plausibility = Plausibility()
     assert plausibility.judged(pose(SPEED * STEP), expected(STEP), 0.0, -STEP, ACCELERATIONS) is not None
     plausibility.forget()
@@ -30,7 +30,7 @@ def driven() -> Plausibility:
 
 
 def judge(plausibility: Plausibility, positions: list[float]) -> list[GaussianPose | None]:
-    """Of the frames after the reference, each STEP later."""
+    """What is made of the frames after the reference, each STEP later."""
     stamps = STEP * np.arange(1, len(positions) + 1)
     return [
         plausibility.judged(pose(z), expected(stamp), float(stamp), 0.0, ACCELERATIONS)

@@ -40,7 +40,7 @@ def test_exact_without_noise(camera, two_views, motion):
 
 @MOTIONS
 def test_epipolar_distance_is_that_of_the_textbook(camera, two_views, motion):
-    """Of the point from the line F^T x (Hartley and Zisserman, section 11.4.3), in pixels."""
+    """It is that of the point from the line F^T x (Hartley and Zisserman, section 11.4.3), in pixels."""
     tracks = two_views(motion, noise=2.0).tracks
     K_inverse = np.linalg.inv(camera.K)
     t = motion.translation() / np.linalg.norm(motion.translation())
