@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -66,12 +67,10 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
         ConfigError: The scale source needs what the sequence does not have.
     """
     baseline = eyes.baseline if eyes else _true_baseline(sequence, config)
-
-    def odometry_from_here() -> VisualOdometry:
-        return VisualOdometry(sequence.camera, config, sequence.ground, baseline, eyes.association if eyes else None)
-
-    vo = odometry_from_here()
-    rescue: VisualOdometry | None = None
+    association = eyes.association if eyes else None
+    begin_vo = partial(VisualOdometry, sequence.camera, config, sequence.ground, baseline, association)
+    vo = begin_vo()
+    metres = _MetresAgain(begin_vo, possible=not config.needs_odometry and not config.scale.relative)
     finder = eyes.finder if eyes else PatchFinder(sequence.camera, config.features, config.slam)
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     fusion = _fusion(sequence, config)
@@ -107,14 +106,11 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
             if config.mode is not Mode.VSLAM:
                 vslam.rebase(fusion.reference)
 
-            # A map that V-SLAM made on its own knows no metres: where odometry can tell them, it does so once more.
-            telling = not config.needs_odometry and not config.scale.relative
-            if status is Status.REINITIALISED and telling and rescue is None:
-                rescue = odometry_from_here()
-            if rescue is not None:
-                anew = _start(vslam, frame, rescue.step(frame), fusion.pose, sequence, config)
+            if (told := metres.step(frame, status)) is not None:
+                anew = _start(vslam, frame, told, fusion.pose, sequence, config)
                 if anew is not None:
-                    rescue, slam = None, replace(anew, previous=previous, prev_T_cur=motion, status=status)
+                    metres.stop()
+                    slam = replace(anew, previous=previous, prev_T_cur=motion, status=status)
 
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
@@ -130,6 +126,29 @@ def estimate(sequence: Sequence, config: Config, eyes: Eyes | None = None) -> It
             slam=slam,
             graph=fusion.graph,
         )
+
+
+class _MetresAgain:
+    """Odometry beside visual SLAM alone, from where this has made a map on its own, which knows no metres.
+
+    Args:
+        begin: Makes odometry that begins anew.
+        possible: Whether odometry can tell metres, and does not run anyway.
+    """
+
+    def __init__(self, begin: Callable[[], VisualOdometry], possible: bool) -> None:
+        self._begin, self._possible = begin, possible
+        self._vo: VisualOdometry | None = None
+
+    def step(self, frame: Frame, status: Status) -> VoEstimate | None:
+        """Estimate the motion of a frame where metres are missing, which visual SLAM had with this status."""
+        if self._possible and self._vo is None and status is Status.REINITIALISED:
+            self._vo = self._begin()
+        return None if self._vo is None else self._vo.step(frame)
+
+    def stop(self) -> None:
+        """Leave off: visual SLAM knows metres again."""
+        self._vo = None
 
 
 def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 PIXEL_NOISE = 0.3  # pixels, of a displacement along each axis, where no motion has told it
 UNKNOWN = 10.0  # times the usual inverse depth: the deviation of one that is not known
+GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
+UNKNOWN_DEPTH = 10.0  # and at how far away things are for one whose height is unknown, metres
 SHARED = 5  # errors that depths share: those of rotation and direction
 
 
@@ -158,3 +160,21 @@ def triangulate(
     by_motion = np.hstack([by_rotation, by_direction]) / np.maximum((across**2).sum(axis=1), 1e-18)[:, None]
     squares, axes = np.linalg.eigh(covariance)
     return InverseDepths(ids, values, sigmas, by_motion @ (axes * np.sqrt(np.maximum(squares, 0.0))))
+
+
+def typical_depth(
+    known: InverseDepths, rays: NDArray[np.float64], down: NDArray[np.float64] | None, height: float
+) -> float:
+    """Metres to what is seen, by known depths or else by where the ground would be.
+
+    Args:
+        known: Depths of what is seen, if any are known.
+        rays: (N, 3) towards what is seen, z = 1.
+        down: (3,) unit vector to the ground; None where there is none.
+        height: Of the camera above the ground, metres; NaN where unknown.
+    """
+    if len(known):
+        return float(1 / np.median(known.values))
+    if down is None or not height > 0 or not len(rays):
+        return UNKNOWN_DEPTH
+    return height * float(np.median(1 / np.maximum(rays @ down, 1 / GROUND_REACH)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
@@ -23,11 +22,12 @@ from fvslam_graph.features.tracks import Association, Tracks
 from fvslam_graph.sequences.base import Frame, Ground
 from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.trajectory import Status
-from fvslam_graph.vo.depth import InverseDepths, triangulate
+from fvslam_graph.vo.depth import InverseDepths, triangulate, typical_depth
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.estimate import VoEstimate, metric_pose
 from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.locate import locate, refine
+from fvslam_graph.vo.lost_references import LostReference, LostReferences
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.plausibility import Plausibility
 from fvslam_graph.vo.rotation import fit_rotation
@@ -37,12 +37,8 @@ from fvslam_graph.vo.two_view import estimate_two_view
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1
 ENOUGH = 2  # times the inliers needed: fewer tracks, and none is left apart
-MEMORY = 3.0  # seconds for which a lost reference is looked for,
-REMEMBERED = 2  # and so many of them
 PATIENCE = 3  # textured images in a row that do not fit the reference before it is given up
-GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
-GUESS = 1.0  # variance of the logarithm of such a distance
-UNKNOWN_DEPTH = 10.0  # and at how far away things are for one whose height is unknown, metres
+GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
 
 
 @dataclass(frozen=True)
@@ -62,23 +58,6 @@ class _Motion:
     map: MetricMap
     scale: ScaleStep | None = None
     parallax: float = math.nan
-
-
-@dataclass(frozen=True)
-class _Reference:
-    """A reference that was lost, with all that it takes to go on from it.
-
-    Attributes:
-        frame, points, map: Its image, how many points it has, and what is known of their depths.
-        association: Finds these points.
-        stamp: Until when it was tracked.
-    """
-
-    frame: Frame
-    points: int
-    map: MetricMap
-    association: Association
-    stamp: float
 
 
 class VisualOdometry:
@@ -126,7 +105,7 @@ class VisualOdometry:
         self._last_stamp = math.nan
         self._first = 0  # index of the first frame
         self._seen = Tracks.none()  # where the points were when the camera last moved
-        self._lost: deque[_Reference] = deque(maxlen=REMEMBERED)
+        self._lost = LostReferences()
         self._failures = 0  # usable images in a row that did not fit the reference
         self._apart = np.empty(0, np.int64)  # tracks not to be used for the motion
 
@@ -261,23 +240,20 @@ class VisualOdometry:
         two_view = replace(two_view, inliers=inliers)
         with self._stopwatch.stage("scale"):
             tracks = tracks[two_view.inliers]
-            previous, current = rays(self.camera, tracks.reference), rays(self.camera, tracks.current)
-            unit = triangulate(
-                tracks.ids,
-                previous,
-                current,
-                two_view.rotation,
-                two_view.direction,
-                self.camera.fx,
-                two_view.noise,
-                two_view.covariance,
-                tracks.covariances,
-            )
+            pose = gtsam.Pose3(two_view.rotation, two_view.direction)
+            unit = self._triangulated(tracks, pose, two_view.noise, two_view.covariance)
             fallback = self._motion_model.distance(frame.stamp - self._reference.stamp)
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = self._guess(unit)
             scale, known = self._scale.estimate(
-                self._reference, frame, two_view, previous, unit, self._map, fallback, self._rng
+                self._reference,
+                frame,
+                two_view,
+                rays(self.camera, tracks.reference),
+                unit,
+                self._map,
+                fallback,
+                self._rng,
             )
         return _Motion(metric_pose(two_view, scale.length), tracks, known, scale)
 
@@ -304,20 +280,20 @@ class VisualOdometry:
         tracks = tracks[kept]
         if self._is_worn_out(tracks):  # what is left of the reference is triangulated while it can be
             new = tracks[~np.isin(tracks.ids, known.depths.ids)]
-            unit = triangulate(
-                new.ids,
-                rays(self.camera, new.reference),
-                rays(self.camera, new.current),
-                refined.pose.mean.rotation(),
-                refined.pose.mean.translation(),
-                self.camera.fx,
-                refined.noise,
-                refined.direction_covariance,
-                new.covariances,
-            )
-            known = MetricMap(known.depths.fused(unit[unit.values > 0]), known.variance)
+            found = self._triangulated(new, refined.pose.mean, refined.noise, refined.direction_covariance)
+            known = MetricMap(known.depths.fused(found[found.values > 0]), known.variance)
         # The map's scale is uncertain, and the distance travelled in it likewise.
         return _Motion(refined.pose.with_scale_variance(known.variance), tracks, known)
+
+    def _triangulated(
+        self, tracks: Tracks, ref_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
+    ) -> InverseDepths:
+        """Inverse depths of tracks by a motion, with the covariance of its rotation and direction."""
+        reference, current = rays(self.camera, tracks.reference), rays(self.camera, tracks.current)
+        rotation, baseline, focal = ref_T_cur.rotation(), ref_T_cur.translation(), self.camera.fx
+        return triangulate(
+            tracks.ids, reference, current, rotation, baseline, focal, noise, covariance, tracks.covariances
+        )
 
     def _turn(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion:
         """Rotation alone; both it and the translation are as uncertain as the parallax that may hide in it."""
@@ -355,29 +331,22 @@ class VisualOdometry:
             return estimate
         if self._reference is not None and len(self._map) >= self.settings.min_inliers:
             association = copy(self._association)
-            self._lost.append(_Reference(self._reference, self._points, self._map, association, self._last_stamp))
-        return replace(self._refer_after(estimate, frame), awaited=self._awaited)
-
-    @property
-    def _awaited(self) -> tuple[int, ...]:
-        """Indices of the references that were lost and are looked for."""
-        return tuple(lost.frame.index for lost in self._lost)
+            self._lost.add(LostReference(self._reference, self._map, association, self._last_stamp))
+        return replace(self._refer_after(estimate, frame), awaited=self._lost.indices)
 
     def _found_again(self, frame: Frame) -> VoEstimate | None:
         """The motion from a reference that was lost, where this image fits it."""
-        while self._lost and frame.stamp - self._lost[0].stamp > MEMORY:
-            self._lost.popleft()
-        for reference in list(self._lost):
+        for reference in self._lost.remembered(frame.stamp):
             motion = self._return_to(reference, frame)
             if motion is not None:
-                self._lost.clear()
+                self._lost = LostReferences()
                 self._reference, self._last_stamp = reference.frame, reference.stamp
                 estimate = self._accept(frame, motion)
                 self._refer_to(frame, motion.tracks, estimate.map)
                 return estimate
         return None
 
-    def _return_to(self, reference: _Reference, frame: Frame) -> _Motion | None:
+    def _return_to(self, reference: LostReference, frame: Frame) -> _Motion | None:
         """The motion from another reference, if enough of its points are found, and most of these agree."""
         assert frame.image is not None
         with self._stopwatch.stage("association"):
@@ -398,6 +367,7 @@ class VisualOdometry:
     def _coast(self, frame: Frame, status: Status) -> VoEstimate:
         """The motion model carries on from the last usable image, in the scale that its velocity has."""
         step, variance = self._motion_model.predict(frame.stamp - self._last_stamp), self._motion_model.log_variance
+        # The last motion has this scale as far as its covariance holds it.
         last = ScaledPose.of(self._ref_T_last, variance).replaced(self._ref_T_last)
         pose = last.compose(ScaledPose.of(step.with_scale_variance(variance), variance)).whole
         return self._estimate(frame, pose, status)
@@ -422,17 +392,14 @@ class VisualOdometry:
 
     def _typical_depth(self) -> float:
         """Metres to what is seen."""
-        if len(self._map):
-            return float(1 / np.median(self._map.depths.values))
         height = math.nan if self._reference is None else self._reference.height
-        if self._down is None or not height > 0 or not len(self._seen):
-            return UNKNOWN_DEPTH
-        falling = rays(self.camera, self._seen.current) @ self._down  # of the rays, towards the ground
-        return height * float(np.median(1 / np.maximum(falling, 1 / GROUND_REACH)))
+        return typical_depth(self._map.depths, rays(self.camera, self._seen.current), self._down, height)
 
     def _seed(self) -> int:
         return int(self._rng.integers(2**31))
 
     def _estimate(self, frame: Frame, ref_T_cur: GaussianPose, status: Status) -> VoEstimate:
         reference = self._first if self._reference is None else self._reference.index
-        return VoEstimate(frame.index, reference, ref_T_cur, status, awaited=self._awaited, times=self._stopwatch.times)
+        return VoEstimate(
+            frame.index, reference, ref_T_cur, status, awaited=self._lost.indices, times=self._stopwatch.times
+        )

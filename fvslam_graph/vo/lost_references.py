@@ -1,0 +1,52 @@
+"""References that were lost not long ago: the camera may see them again."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from fvslam_graph.features.tracks import Association
+from fvslam_graph.sequences.base import Frame
+from fvslam_graph.vo.scale import MetricMap
+
+MEMORY = 3.0  # seconds for which a lost reference is looked for,
+REMEMBERED = 2  # and so many of them
+
+
+@dataclass(frozen=True)
+class LostReference:
+    """A reference with all that it takes to go on from it.
+
+    Attributes:
+        frame: Its image.
+        map: What is known of the depths of its points.
+        association: Finds these points.
+        stamp: Until when it was tracked.
+    """
+
+    frame: Frame
+    map: MetricMap
+    association: Association
+    stamp: float
+
+
+class LostReferences:
+    """The last few, for some seconds."""
+
+    def __init__(self) -> None:
+        self._references: deque[LostReference] = deque(maxlen=REMEMBERED)
+
+    @property
+    def indices(self) -> tuple[int, ...]:
+        """Indices of their frames."""
+        return tuple(reference.frame.index for reference in self._references)
+
+    def add(self, reference: LostReference) -> None:
+        """Remember one more."""
+        self._references.append(reference)
+
+    def remembered(self, stamp: float) -> list[LostReference]:
+        """Those that are not forgotten at a time, the oldest first."""
+        while self._references and stamp - self._references[0].stamp > MEMORY:
+            self._references.popleft()
+        return list(self._references)
