@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -33,6 +33,7 @@ from fvslam_graph.slam.motion import (
 )
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
 from fvslam_graph.slam.records import NO_TRACK
+from fvslam_graph.slam.sighting import Remembered, Sighting
 from fvslam_graph.slam.state import POSE, SCALE, VELOCITY, State
 from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.trajectory import Status
@@ -46,43 +47,6 @@ UNKNOWN_SCALE = 0.7  # of log scale: scenes are as far away as the last one with
 UNKNOWN_RATE = 0.5  # rad/s, and distances to the landmarks per second: standard deviation where nothing is known
 # The matrices are small: a second thread costs more than it brings, and the sums would depend on the machine.
 _BLAS = ThreadpoolController()
-
-
-@dataclass(frozen=True)
-class _Remembered:
-    """A state to go on from.
-
-    Attributes:
-        state: In the camera of its frame.
-        map_T_camera: Of that camera, without the re-anchoring.
-        index, stamp: Of its frame.
-    """
-
-    state: State
-    map_T_camera: gtsam.Pose3
-    index: int
-    stamp: float
-
-
-@dataclass(frozen=True)
-class _Sighting:
-    """A state in a new camera.
-
-    Attributes:
-        state: With the landmarks of the earlier one.
-        motion: From the earlier camera,
-        previous: and the index of its frame.
-        map_T_camera: Without the re-anchoring.
-        searched: What became of the landmarks.
-        lost: Whether too few of them agree, so that the motion is the predicted one.
-    """
-
-    state: State
-    motion: GaussianPose
-    previous: int
-    map_T_camera: gtsam.Pose3
-    searched: Searched
-    lost: bool
 
 
 class VSlam:
@@ -111,8 +75,8 @@ class VSlam:
         self._state: State | None = None
         self._map_T_camera = gtsam.Pose3()  # the motions as they were estimated, without the re-anchoring
         self.index, self._stamp = 0, math.nan  # of the last step
-        self._seen: _Remembered | None = None  # where the map was seen last, if that is not the last step
-        self._lost: _Remembered | None = None  # likewise of a map that was given up, and is looked for
+        self._seen: Remembered | None = None  # where the map was seen last, if that is not the last step
+        self._lost: Remembered | None = None  # likewise of a map that was given up, and is looked for
         self._failures = 0  # usable images in a row that did not fit the map
 
     @property
@@ -160,7 +124,7 @@ class VSlam:
         assert self._state is not None, "start comes first"
         self._stopwatch = Stopwatch()
         surprise = SURPRISE if self._failures else 1.0
-        before = _Remembered(self._state, self._map_T_camera, self.index, self._stamp)
+        before = Remembered(self._state, self._map_T_camera, self.index, self._stamp)
         sighting = self._sight(frame, before, odometry, points, surprise)
         if odometry is None and (found := self._found_again(frame)) is not None:
             sighting, self._lost = found, None
@@ -185,11 +149,11 @@ class VSlam:
     def _sight(
         self,
         frame: Frame,
-        before: _Remembered,
+        before: Remembered,
         odometry: GaussianPose | None,
         points: KnownPoints | None,
         surprise: float,
-    ) -> _Sighting:
+    ) -> Sighting:
         """Step from an earlier state into the new camera, by what the image shows of its map; arguments of `step`."""
         seconds, sigma = frame.stamp - before.stamp, self.settings.pixel_sigma
 
@@ -234,9 +198,9 @@ class VSlam:
         if not lost:
             outcome[inliers], outcome[rescued] = Outcome.INLIER, Outcome.RESCUED
         searched = Searched(state.ids, outcome, prediction.pixels, ellipses, np.where(found[:, None], pixels, np.nan))
-        return _Sighting(state, motion, before.index, before.map_T_camera.compose(prev_T_cur), searched, lost)
+        return Sighting(state, motion, before.index, before.map_T_camera.compose(prev_T_cur), searched, lost)
 
-    def _found_again(self, frame: Frame) -> _Sighting | None:
+    def _found_again(self, frame: Frame) -> Sighting | None:
         """Sight a map that was lost some seconds ago; None where this image does not show it."""
         if self._lost is None or frame.image is None:
             return None

@@ -1,0 +1,48 @@
+"""What visual SLAM makes of an image from a state that it had, be it the last one or one from before a loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+
+from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.slam.estimate import Searched
+from fvslam_graph.slam.state import State
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """A state to go on from.
+
+    Attributes:
+        state: In the camera of its frame.
+        map_T_camera: Of that camera, without the re-anchoring.
+        index, stamp: Of its frame.
+    """
+
+    state: State
+    map_T_camera: gtsam.Pose3
+    index: int
+    stamp: float
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A state in a new camera.
+
+    Attributes:
+        state: With the landmarks of the earlier one.
+        motion: From the earlier camera,
+        previous: and the index of its frame.
+        map_T_camera: Without the re-anchoring.
+        searched: What became of the landmarks.
+        lost: Whether too few of them agree, so that the motion is the predicted one.
+    """
+
+    state: State
+    motion: GaussianPose
+    previous: int
+    map_T_camera: gtsam.Pose3
+    searched: Searched
+    lost: bool
