@@ -40,7 +40,7 @@ def epipolar_distance(
         Pixels, and in the tangent of TwoView.
     """
     R = rotation.matrix()
-    line = cross(previous, direction) @ R
+    line = np.cross(previous, direction) @ R
     length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)  # a point on the epipole has no line
     normal = line[:, :2] / length[:, None]
     distance = (line * current).sum(axis=1) / length
@@ -49,11 +49,5 @@ def epipolar_distance(
     weight: NDArray[np.float64] = focal / length
     if covariances is not None:
         weight = weight / np.sqrt((normal * (covariances @ normal[:, :, None])[:, :, 0]).sum(axis=1))
-    by_direction = cross(foot @ R.T, previous) @ gtsam.Unit3(direction).basis()
-    return distance * length * weight, weight[:, None] * np.hstack([cross(foot, line), by_direction])
-
-
-def cross(a: Rays, b: NDArray[np.float64]) -> Rays:
-    """Cross products of vectors (N, 3) with others, or with one: np.cross takes several times as long."""
-    x, y, z = b.T
-    return np.stack([a[:, 1] * z - a[:, 2] * y, a[:, 2] * x - a[:, 0] * z, a[:, 0] * y - a[:, 1] * x], axis=1)
+    by_direction = np.cross(foot @ R.T, previous) @ gtsam.Unit3(direction).basis()
+    return distance * length * weight, weight[:, None] * np.hstack([np.cross(foot, line), by_direction])
