@@ -229,9 +229,11 @@ def read_run(folder: Path) -> Run:
     relatives = _parsed(folder / COVARIANCES, _read_relatives) if (folder / COVARIANCES).exists() else None
     # Where the run was stopped between two writes, one file is a frame ahead of another.
     count = min(len(written), len(stamps), len(stamps if relatives is None else relatives.previous))
+    if not np.allclose(written.stamps[:count], stamps[:count], rtol=0, atol=1e-6):
+        raise ResultsError(f"{folder / ONLINE} and {FRAMES} are not of the same frames, the run must be done again")
     return Run(
         name=folder.resolve().name,
-        online=Trajectory(written.stamps[:count], written.poses[:count]),
+        online=Trajectory(written.stamps[:count], written.poses[:count], notes=written.notes),
         smoothed=_read_optional(folder / SMOOTHED),
         ground_truth=_read_optional(folder / GROUND_TRUTH),
         frames={name: column[:count] for name, column in frames.items()},

@@ -346,6 +346,10 @@ def corrupt(folder: Path) -> None:
         (edit("run.json", down="up"), r"run\.json .*'down' cannot be 'up'"),
         (edit("run.json", totals=[]), r"run\.json .*'totals' cannot be \[\]"),
         (text("config.yaml", "3"), r"config\.yaml is not a YAML file"),
+        (
+            text("frames.csv", "index,stamp,status\n0,7.0,tracked\n"),
+            r"and frames\.csv are not of the same",
+        ),
         (text("frames.csv", "index,stamp\n0,0.0\n"), r"frames\.csv cannot be read.*no columns"),
         (text("frames.csv", "index,stamp,status\n0,0.0,lost\n"), r"frames\.csv cannot be read.*no status 'lost'"),
         (text("frames.csv", f"index,stamp,status\n{'9' * 40},0,tracked\n"), r"frames\.csv cannot be read"),

@@ -17,7 +17,7 @@ from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.calibration import projection_camera
 from fvslam_graph.sequences.files import numbered_images
 from fvslam_graph.sequences.images import ImageFiles
-from fvslam_graph.sequences.oxts import mercator
+from fvslam_graph.sequences.oxts import mercator, require_degrees
 from fvslam_graph.sequences.tables import (
     CalibrationText,
     even_stamps,
@@ -80,6 +80,10 @@ def _ins_data(path: Path, indices: range) -> tuple[Trajectory, tuple[str, ...]]:
         raise TrajectoryError(f"{path} should have 10 columns (time, position, attitude), not {rows.shape[1]}")
     require_rows(path, len(rows), indices[-1])
     require_increasing(path, rows[:, 0])
+    if not np.all(np.isfinite(rows)):
+        raise TrajectoryError(f"{path} holds a number that is not finite")
+    for latitude, longitude in rows[:, 1:3]:
+        require_degrees(path, latitude, longitude)
     stamps = rows[:, 0] - rows[indices.start, 0]
 
     positions = np.column_stack([mercator(rows[:, 1], rows[:, 2]), rows[:, 3]])

@@ -135,7 +135,11 @@ def _ground_truth(
     reference_T_velo, velo_T_imu = map(_rigid, extrinsics)
     camera_T_imu = camera_T_reference * reference_T_velo * velo_T_imu
 
-    stamps, notes = _packet_stamps(drive, [int(file.stem) for file in files], origin, image_stamps)
+    numbers = [int(file.stem) for file in files]
+    stamps, notes = _packet_stamps(drive, numbers, origin, image_stamps)
+    expected = max(max(numbers) + 1, len(image_stamps) if drive.name.endswith("_sync") else 0)
+    if len(files) < expected:
+        notes += (f"{count_of(expected - len(files), 'OXTS packet')} missing",)
     # Packets may be logged twice or late. A comparison with the running maximum keeps those that bring news.
     known = np.nan_to_num(stamps, nan=-np.inf)
     news = known > np.maximum.accumulate(np.concatenate([[-np.inf], known[:-1]]))

@@ -28,6 +28,12 @@ def mercator(latitude: NDArray[np.float64], longitude: NDArray[np.float64]) -> N
     return np.column_stack([east, north])
 
 
+def require_degrees(path: Path, latitude: float, longitude: float) -> None:
+    """Raises TrajectoryError where these are no degrees of a place on Earth that Mercator's projection has."""
+    if not (abs(latitude) < 90 and abs(longitude) <= 180):
+        raise TrajectoryError(f"{path}: {latitude:g}, {longitude:g} are no degrees of latitude and longitude")
+
+
 def read_packets(files: list[Path]) -> NDArray[np.float64]:
     """Latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad) of each packet, (N, 6).
 
@@ -42,8 +48,7 @@ def read_packets(files: list[Path]) -> NDArray[np.float64]:
             packet = []
         if len(packet) != 6 or not np.all(np.isfinite(packet)):
             raise TrajectoryError(f"{file} is not an OXTS packet: it should begin with six finite numbers")
-        if abs(packet[0]) >= 90 or abs(packet[1]) > 180:
-            raise TrajectoryError(f"{file}: {packet[0]:g}, {packet[1]:g} are no degrees of latitude and longitude")
+        require_degrees(file, packet[0], packet[1])
         packets.append(packet)
     return np.array(packets).reshape(-1, 6)
 

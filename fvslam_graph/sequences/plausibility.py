@@ -145,7 +145,8 @@ def rigid_pose(path: Path, key: str, matrix: Array) -> gtsam.Pose3:
 
 def require_rotation(path: Path, key: str, matrix: Array) -> Array:
     """The matrix (3, 3), if it is a rotation but for rounding; raises CameraError."""
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 0.01 or np.linalg.det(matrix) < 0:
+    bounded = np.abs(matrix).max() < 2  # of larger numbers, products may overflow
+    if not bounded or np.abs(matrix @ matrix.T - np.eye(3)).max() > 0.01 or np.linalg.det(matrix) < 0:
         raise CameraError(
             f"{path}: the rotation of '{key}' is none: its rows should be of length 1 and at right angles"
         )

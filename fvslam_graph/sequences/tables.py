@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.errors import CameraError, SequenceError, TrajectoryError
 from fvslam_graph.text_files import read_text
 from fvslam_graph.trajectory import Trajectory
+from fvslam_graph.trajectory_files import FARTHEST
 
 MIN_STEP = 1e-6  # seconds; stamps since 1970 are held to a quarter of that
 MIN_RATE, MAX_RATE = 0.1, 1e4  # frames a second, by the median
@@ -62,7 +63,8 @@ def read_stamps(path: Path) -> NDArray[np.float64]:
 
 def require_increasing(path: Path, stamps: NDArray[np.float64]) -> None:
     """Raises SequenceError where stamps (N,) cannot be seconds that increase, naming the first that does not."""
-    steps = np.diff(stamps, prepend=-np.inf)
+    with np.errstate(invalid="ignore"):  # infinity less infinity
+        steps = np.diff(stamps, prepend=-np.inf)
     good = np.isfinite(stamps) & (steps > MIN_STEP)
     if not np.all(good):
         row = int(np.argmin(good))
@@ -93,6 +95,9 @@ def require_rows(path: Path, rows: int, last: int) -> None:
 
 def make_trajectory(path: Path, stamps: NDArray[np.float64], poses: Sequence[gtsam.Pose3]) -> Trajectory:
     """A trajectory whose errors name the file it comes from; raises TrajectoryError."""
+    away = max((float(np.abs(pose.translation()).max()) for pose in poses), default=0.0)
+    if not away <= FARTHEST:
+        raise TrajectoryError(f"{path} has a pose with the number {away:g}, which is no place in metres")
     try:
         return Trajectory(stamps, tuple(poses))
     except TrajectoryError as error:
