@@ -142,7 +142,8 @@ def triangulate(
     """
     rotated = current @ rotation.matrix().T
     across = rotated @ gtsam.SO3.Hat(baseline)  # rotated x baseline
-    values = (across * np.cross(rotated, previous)).sum(axis=1) / np.maximum((across**2).sum(axis=1), 1e-18)
+    square, along = np.maximum((across**2).sum(axis=1), 1e-18), (rotated * previous).sum(axis=1)
+    values = ((rotated**2).sum(axis=1) * (previous @ baseline) - along * (rotated @ baseline)) / square
     # How fast the image of the point moves along its epipolar line when rho changes.
     seen = previous - values[:, None] * baseline
     turned, step = seen @ rotation.matrix(), rotation.unrotate(baseline)
@@ -150,14 +151,16 @@ def triangulate(
     speed = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
     sigmas = noise / (focal * speed)
     if covariances is not None:
-        sigmas *= np.sqrt(np.einsum("ni,nij,nj->n", line, covariances, line)) / speed
+        x, y = line.T
+        variances = covariances[:, 0, 0] * x * x + 2 * covariances[:, 0, 1] * x * y + covariances[:, 1, 1] * y * y
+        sigmas *= np.sqrt(variances) / speed
     if covariance is None:
         return InverseDepths.independent(ids, values, sigmas)
     # For y = R (1 + [w]x) y0 and b + |b| B d the cross product above changes by (R w x y) x seen - rho y x (|b| B d).
     by_rotation = -(across @ rotation.matrix()) * (rotated * seen).sum(axis=1)[:, None]
     basis = np.linalg.norm(baseline) * gtsam.Unit3(baseline).basis()
-    by_direction = -values[:, None] * np.cross(across, rotated) @ basis
-    by_motion = np.hstack([by_rotation, by_direction]) / np.maximum((across**2).sum(axis=1), 1e-18)[:, None]
+    by_direction = (values * (rotated @ baseline))[:, None] * (rotated @ basis)
+    by_motion = np.hstack([by_rotation, by_direction]) / square[:, None]
     squares, axes = np.linalg.eigh(covariance)
     return InverseDepths(ids, values, sigmas, by_motion @ (axes * np.sqrt(np.maximum(squares, 0.0))))
 

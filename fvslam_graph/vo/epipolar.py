@@ -13,8 +13,9 @@ Rays = NDArray[np.float64]
 
 def rays(camera: Camera, pixels: NDArray[np.float64]) -> Rays:
     """Viewing rays (N, 3) of pixels (N, 2), with z = 1."""
-    normalized = camera.normalize(pixels)
-    return np.column_stack([normalized, np.ones(len(normalized))])
+    towards = np.ones((len(pixels), 3))
+    towards[:, :2] = camera.normalize(pixels)
+    return towards
 
 
 def epipolar_distance(
@@ -39,15 +40,22 @@ def epipolar_distance(
     Returns:
         Pixels, and in the tangent of TwoView.
     """
-    R = rotation.matrix()
-    line = np.cross(previous, direction) @ R
+    # A line is linear in the direction: with it come its derivatives along the two axes of the tangent.
+    axes = np.column_stack([direction, gtsam.Unit3(direction).basis()])
+    lines = previous @ np.hstack([gtsam.SO3.Hat(axis) @ rotation.matrix() for axis in axes.T])
+    line = lines[:, :3]
     length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)  # a point on the epipole has no line
     normal = line[:, :2] / length[:, None]
     distance = (line * current).sum(axis=1) / length
-    foot = current.copy()  # of the perpendicular: seen from there, it does not matter how the normal turns
-    foot[:, :2] -= distance[:, None] * normal
+    foot = current[:, :2] - distance[:, None] * normal  # of the perpendicular: there, no matter how the normal turns
     weight: NDArray[np.float64] = focal / length
     if covariances is not None:
-        weight = weight / np.sqrt((normal * (covariances @ normal[:, :, None])[:, :, 0]).sum(axis=1))
-    by_direction = np.cross(foot @ R.T, previous) @ gtsam.Unit3(direction).basis()
-    return distance * length * weight, weight[:, None] * np.hstack([np.cross(foot, line), by_direction])
+        x, y = normal.T
+        variances = covariances[:, 0, 0] * x * x + 2 * covariances[:, 0, 1] * x * y + covariances[:, 1, 1] * y * y
+        weight = weight / np.sqrt(variances)
+    jacobian = np.empty((len(line), 5))
+    (x, y), (a, b, c) = foot.T, line.T
+    jacobian[:, 0], jacobian[:, 1], jacobian[:, 2] = y * c - b, a - x * c, x * b - y * a
+    jacobian[:, 3] = lines[:, 3] * x + lines[:, 4] * y + lines[:, 5]
+    jacobian[:, 4] = lines[:, 6] * x + lines[:, 7] * y + lines[:, 8]
+    return distance * length * weight, weight[:, None] * jacobian
