@@ -16,7 +16,7 @@ from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.vo.depth import InverseDepths
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 from fvslam_graph.vo.reprojection import reprojection_errors
-from fvslam_graph.vo.two_view import KERNEL, START_NOISE, WIDTHS, poselib_camera
+from fvslam_graph.vo.two_view import KERNEL, START_NOISE, WIDTHS, a_sample, poselib_camera
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
 
@@ -42,8 +42,9 @@ def locate(points: Array, pixels: Array, camera: Camera, settings: VoSettings, s
         "seed": seed,
     }
     bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE}
-    pose, info = poselib.estimate_absolute_pose(pixels, points, poselib_camera(camera), ransac, bundle)
-    if sum(info["inliers"]) < settings.min_inliers:
+    some = a_sample(len(points))
+    pose, info = poselib.estimate_absolute_pose(pixels[some], points[some], poselib_camera(camera), ransac, bundle)
+    if sum(info["inliers"]) * len(points) < settings.min_inliers * len(some):
         return None
     return gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
 

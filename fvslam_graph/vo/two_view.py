@@ -27,6 +27,7 @@ CONVERGED = 1e-5  # rad, of a step
 SAME = 1e-3  # rad between rotations, and ten times that between directions, of one and the same solution
 CLEARLY = 4.0  # deviations beyond which a match does not count
 LONGEST = 0.1  # rad, step of the refinement
+RANSAC_TRACKS = 120
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
 BEHIND = 5.0  # deviations that a depth behind the camera counts for
@@ -87,7 +88,8 @@ def estimate_two_view(
         "seed": seed,
     }
     bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE}
-    pose, _ = poselib.estimate_relative_pose(tracks.reference, tracks.current, model, model, ransac, bundle)
+    some = tracks[a_sample(len(tracks))]
+    pose, _ = poselib.estimate_relative_pose(some.reference, some.current, model, model, ransac, bundle)
     found = gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
     matches = _Matches(tracks, rays(camera, tracks.reference), rays(camera, tracks.current), camera.fx, known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
@@ -228,6 +230,11 @@ def _refine(start: gtsam.Pose3, matches: _Matches, limit: float, widths: Sequenc
             break
     distance, jacobian = matches.distance(rotation, direction)
     return _Fit(rotation, direction, distance, jacobian, matches.noise(distance, limit))
+
+
+def a_sample(count: int) -> NDArray[np.intp]:
+    """Which of so many tracks RANSAC looks at: what it finds is refined by all."""
+    return np.arange(0, count, max(1, count // RANSAC_TRACKS))
 
 
 def poselib_camera(camera: Camera) -> dict[str, object]:
