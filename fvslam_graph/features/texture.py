@@ -35,8 +35,9 @@ class Texture:
         factor = 2**octave
         height, width = (side // factor * factor for side in image.shape)
         small = cv2.resize(image[:height, :width], (width // factor, height // factor), interpolation=cv2.INTER_AREA)
-        x, y = (gradient.astype(np.float32) for gradient in cv2.spatialGradient(small))
-        return cls(small, factor, cv2.boxFilter(cv2.merge([x * x, x * y, y * y]), -1, (WINDOW, WINDOW)))
+        x, y = cv2.spatialGradient(small)
+        products = (cv2.multiply(a, b, dtype=cv2.CV_32F) for a, b in ((x, x), (x, y), (y, y)))
+        return cls(small, factor, cv2.merge([cv2.boxFilter(product, -1, (WINDOW, WINDOW)) for product in products]))
 
     def strength(self, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
         """The texture (N,) along the direction in which pixels (N, 2) of the reduced image have least (Shi, Tomasi)."""

@@ -93,9 +93,11 @@ def estimate_two_view(
     found = gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
     matches = _Matches(tracks, rays(camera, tracks.reference), rays(camera, tracks.current), camera.fx, known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
-    fits = [_refine(start, matches, limit, WIDTHS) for start in expected if np.linalg.norm(start.translation()) > 0]
-    if np.linalg.norm(found.translation()) > 0 and not any(fit.is_at(found) for fit in fits):
-        fits.append(_refine(found, matches, limit, WIDTHS[FOUND:]))
+    starts = [(start, WIDTHS) for start in expected] + [(found, WIDTHS[FOUND:])]
+    fits: list[_Fit] = []
+    for start, widths in starts:
+        if np.linalg.norm(start.translation()) > 0 and (fit := _refine(start, matches, limit, widths, fits)):
+            fits.append(fit)
     if not fits:
         return None
     noise = min(fit.noise for fit in fits)
@@ -168,10 +170,10 @@ class _Fit:
     jacobian: NDArray[np.float64]
     noise: float
 
-    def is_at(self, pose: gtsam.Pose3) -> bool:
-        """Whether a pose leads to this one."""
-        turned = np.linalg.norm(gtsam.Rot3.Logmap(self.rotation.between(pose.rotation())))
-        off = np.linalg.norm(self.direction - pose.translation() / np.linalg.norm(pose.translation()))
+    def is_at(self, rotation: gtsam.Rot3, direction: NDArray[np.float64]) -> bool:
+        """Whether a relative pose leads to this one."""
+        turned = np.linalg.norm(gtsam.Rot3.Logmap(self.rotation.between(rotation)))
+        off = np.linalg.norm(self.direction - direction)
         return bool(turned < SAME and off < 10 * SAME)
 
     def cost(self, matches: _Matches, noise: float) -> float:
@@ -205,12 +207,19 @@ class _Fit:
         return cost + float(np.log1p(square / KERNEL**2).sum())
 
 
-def _refine(start: gtsam.Pose3, matches: _Matches, limit: float, widths: Sequence[int]) -> _Fit:
-    """The relative pose near another by the tracks that agree with it (iteratively reweighted least squares)."""
+def _refine(
+    start: gtsam.Pose3, matches: _Matches, limit: float, widths: Sequence[int], known: Sequence[_Fit]
+) -> _Fit | None:
+    """The relative pose near another by the tracks that agree with it (iteratively reweighted least squares).
+
+    None where it becomes one that is known.
+    """
     rotation = start.rotation()
     direction = start.translation() / np.linalg.norm(start.translation())
     ahead = None
     for width in widths:
+        if any(fit.is_at(rotation, direction) for fit in known):
+            return None
         distance, jacobian = matches.distance(rotation, direction)
         noise = width * matches.noise(distance, limit)
         agree = np.abs(distance) < min(width * limit, CLEARLY * noise)
