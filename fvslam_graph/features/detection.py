@@ -12,6 +12,7 @@ from fvslam_graph.config import FeatureSettings
 from fvslam_graph.features.texture import Texture
 
 BORDER = 8  # pixels at the rim where no patch fits
+PLENTY = 8  # corners for each that is wanted
 PER_CELL = 2  # corners in a grid cell: few, so that they are spread, and not one, so that texture counts too
 
 
@@ -31,7 +32,10 @@ def detect(
     """
     small, factor = texture.image, texture.factor
     height, width = (side * factor for side in small.shape)
-    keypoints = cv2.FastFeatureDetector_create(settings.threshold, True).detect(small)
+    keypoints = ()
+    for threshold in (2 * settings.threshold, settings.threshold):  # where there are plenty, weak ones only cost time
+        if len(keypoints) < PLENTY * settings.count:
+            keypoints = cv2.FastFeatureDetector_create(min(threshold, 255), True).detect(small)
     if not keypoints:
         return np.empty((0, 2), np.float32)
     taken = np.empty((0, 2)) if taken is None else taken

@@ -26,7 +26,8 @@ class KltTracker:
     def __init__(self, settings: FeatureSettings) -> None:
         self.settings = settings
         self._image: Image | None = None  # the reference, in the exposure of the last image
-        self._reduced = np.empty((0, 0))  # the last image
+        self._last: Image | None = None  # image,
+        self._reduced = np.empty((0, 0))  # and that at a sixteenth of its size
         self._next_id = 0
         self._ids = np.empty(0, np.int64)
         self._points = np.empty((0, 2), np.float32)
@@ -38,7 +39,7 @@ class KltTracker:
         if self._image is None or not len(self._points):
             return Tracks.none()
         found, good = self._follow(self._image, image)
-        before, self._reduced = self._reduced, reduced(image)
+        before, self._last, self._reduced = self._reduced, image, reduced(image)
         if change := exposure_change(before, self._reduced):
             # It may be the scene that has changed: what finds more points is right.
             reference = exposed(self._image, *change)
@@ -53,7 +54,9 @@ class KltTracker:
         """Make `image` the reference: its points, the kept tracks and new corners, are returned."""
         texture = Texture.of(image, self.settings.octave)
         corners = detect(texture, self.settings, kept.current)
-        self._image, self._reduced = image, reduced(image)
+        if image is not self._last:
+            self._last, self._reduced = image, reduced(image)
+        self._image = image
         self._points = np.vstack([kept.current, corners]).astype(np.float32)
         self._ids = np.concatenate([kept.ids, self._next_id + np.arange(len(corners))])
         self._next_id += len(corners)
