@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.fusion.calibration import CALIBRATION, SelfCalibration
 
 Array = NDArray[np.float64]
 
@@ -113,24 +114,28 @@ class LandmarkFactors:
     """
 
     def __init__(self, camera: Camera, settings: GraphSettings) -> None:
-        self.calibration = gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
+        self.calibration = SelfCalibration(camera, settings)
+        self._fixed = gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
         self._settings = settings
 
     def deviation(self, sigma: float, count: int) -> float:
         """Of a pixel that errs by `sigma` along each axis on its own, in an image with so many landmarks.
 
-        What they all err alike, by calibration and by what makes tracks drift, does not average out. A covariance
+        What they all err alike, by what makes tracks drift, does not average out. A covariance
         s^2 v v^T, whatever the pattern v of numbers up to 1, is at most N s^2 I, for N landmarks: with that added to
         the variance of each one, they may be taken as independent.
         """
         return sigma * math.sqrt(1 + count * self._settings.shared_noise**2)
 
     def projection(self, frame: int, landmark: int, pixel: Array, sigma: float, count: int) -> gtsam.NonlinearFactor:
-        """A pixel (2,), see `deviation`; outliers are told by what it errs on its own."""
+        """A pixel (2,) by the camera's estimated calibration, see `deviation`.
+
+        Outliers are told by what it errs on its own.
+        """
         deviation = self.deviation(sigma, count)
         noise = robust(gtsam.noiseModel.Isotropic.Sigma(2, deviation), self._settings, sigma / deviation)
-        keys = pose_key(frame), landmark_key(landmark)
-        return gtsam.GenericProjectionFactorCal3_S2(pixel, noise, *keys, self.calibration, False, False)
+        keys = pose_key(frame), landmark_key(landmark), CALIBRATION
+        return gtsam.GeneralSFMFactor2Cal3Bundler(self.calibration.stretched(pixel), noise, *keys)
 
     def bearing_range(self, frame: int, landmark: int, point: Array, covariance: Array) -> gtsam.NonlinearFactor:
         """A point (3,) in the camera with its covariance (3, 3), metres."""
@@ -146,7 +151,7 @@ class LandmarkFactors:
         parameters = gtsam.SmartProjectionParams()
         parameters.setLinearizationMode(gtsam.LinearizationMode.JACOBIAN_SVD)  # which can be factorised by QR, too
         noise = gtsam.noiseModel.Isotropic.Sigma(2, self.deviation(sigma, count))
-        factor = gtsam.SmartProjectionPoseFactorCal3_S2(noise, self.calibration, parameters)
+        factor = gtsam.SmartProjectionPoseFactorCal3_S2(noise, self._fixed, parameters)
         for frame, pixel in views:
             factor.add(pixel, pose_key(frame))
         return factor

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
-from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaledPose, ScaleStep, Views
+from fvslam_graph.fusion.calibration import (
+    CALIBRATION,
+    CalibrationEstimate,
+    calibration_estimate,
+)
 from fvslam_graph.fusion.factors import (
     SHORT,
     LandmarkFactors,
@@ -25,9 +30,9 @@ from fvslam_graph.fusion.factors import (
     pose_key,
 )
 from fvslam_graph.fusion.graph_files import write_graph
+from fvslam_graph.fusion.motion_gate import contradiction
 from fvslam_graph.fusion.newcomers import Newcomers, View
 from fvslam_graph.fusion.pixel_noise import PixelNoise
-from fvslam_graph.fusion.plausibility import Plausibility
 from fvslam_graph.fusion.scale_chain import ScaleChain
 from fvslam_graph.fusion.solver import Solver
 from fvslam_graph.trajectory import Trajectory
@@ -51,28 +56,29 @@ class Graph:
     def __init__(self, camera: Camera, settings: GraphSettings, relative: bool = False) -> None:
         self.settings = settings
         self.solver = Solver(settings)
+        self._camera = self._refined = camera  # as its file has it, and as it is known now
         self._landmark_factors = LandmarkFactors(camera, settings)
-        self._plausibility = Plausibility()
-        self._newcomers = Newcomers(camera, settings)
-        self._noise = PixelNoise(camera, settings.pixel_sigma)
+        self._newcomers = Newcomers(settings)
+        self._noise = PixelNoise(settings.pixel_sigma)
         self._scales = ScaleChain(self.add, self._insert, self._has, relative)
         self._counts: dict[int, int] = {}  # landmarks that each interleaved frame shows
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
         self._stamps: list[float] = []  # of all frames
         self._poses: list[gtsam.Pose3] = []  # world_T_camera of all frames, as known last
         self._wander: list[Array] = []  # (2, 2) of all frames, see `Newcomers.ready`
+        self._moves: dict[int, OdometryStep] = {}  # since the last fusion, by frame
         self._fused = 0  # the frame of the last reference P_f
+        self._views: Views | None = None  # of that frame
         self._start_height = math.nan
         self._begin_batch()
+        if settings.landmarks == "projection":
+            self.add(self._landmark_factors.calibration.prior())
+            self._values.insert(CALIBRATION, self._landmark_factors.calibration.start)
 
-    def add_odometry(self, stamp: float, step: OdometryStep) -> GaussianPose:
-        """Append the next frame, at `stamp` seconds, with its motion since an earlier one.
-
-        Returns:
-            The motion, or what is plausible in its place.
-        """
-        previous, prev_T_cur, scale, scale_variance = step.previous, step.prev_T_cur, step.scale, step.scale_variance
-        index, taken = len(self._poses), prev_T_cur
+    def add_odometry(self, stamp: float, step: OdometryStep) -> None:
+        """Append the next frame, at `stamp` seconds, with its motion since an earlier one."""
+        previous, motion, scale, scale_variance = step.previous, step.prev_T_cur, step.scale, step.scale_variance
+        index = len(self._poses)
         self._stamps.append(stamp)
         if index == 0:
             self._poses.append(gtsam.Pose3())
@@ -80,25 +86,17 @@ class Graph:
             self.add(pose_factor(0, GaussianPose.identity()))
             self._values.insert(pose_key(0), gtsam.Pose3())
         else:
-            motion = taken = self._plausibility.checked(prev_T_cur, stamp - self._stamps[previous])
-            if motion is not prev_T_cur:
-                scale, scale_variance = None, 0.0
             self._poses.append(self._poses[previous].compose(motion.mean))
             if self.settings.lag is not None and stamp - self._stamps[previous] > self.settings.lag:
                 # What odometry refers to is no longer kept: a camera that stands still has an old reference.
                 previous = index - 1
-                since = self._poses[previous].between(self._poses[index])
-                # Of rotations, each made of the one before and of itself, rounding errors would double with each frame.
-                since = gtsam.Pose3(gtsam.Rot3.ClosestTo(since.rotation().matrix()), since.translation())
-                motion = GaussianPose(since, motion.covariance)
+                motion = GaussianPose(_between(self._poses[previous], self._poses[index]), motion.covariance)
                 scale, scale_variance = None, 0.0
             own = motion.with_scale_variance(-scale_variance)  # a scale in common displaces no landmark
             start = self._wander[previous][0]
             self._wander.append(np.array([start + np.diag(own.covariance).reshape(2, 3).max(axis=1), start]))
-            self._move(previous, index, motion, scale, scale_variance)
-            self._values.insert(pose_key(index), self._linearised(previous).compose(motion.mean))
+            self._moves[index] = OdometryStep(previous, motion, scale, scale_variance)
         self._seen[pose_key(index)] = stamp
-        return taken
 
     def add_height(self, height: float, sigma: float, down: Array) -> None:
         """A reading of the height above level ground (m), at the newest frame; `down` (3,) in the first camera."""
@@ -113,17 +111,20 @@ class Graph:
     def fuse(self, views: Views | None) -> GaussianPose | None:
         """Take in what the newest frame shows of landmarks, and solve.
 
+        Motions that contradict where landmarks have the camera count for as little as that takes.
+
         Returns:
             The motion since the last call (since the first frame, at the first one), with its marginal covariance; None
             where the lag has left that frame behind.
         """
         index = len(self._poses) - 1
+        self._take_motions(views)
         if views is not None and self.settings.landmarks != "none":
             self._see(index, views)
         self._solve()
         if views is not None:
             self._learn(views)
-        first, self._fused = self._fused, index
+        first, self._fused, self._views = self._fused, index, views
         if not self.has(first):
             return None
         return _motion(self.solver, pose_key(first), pose_key(index), self._poses[first], self._poses[index])
@@ -148,6 +149,13 @@ class Graph:
         """How many there are."""
         return len(self._poses)
 
+    @property
+    def calibration(self) -> CalibrationEstimate | None:
+        """The camera as landmarks tell it; None where they do not."""
+        if not self.solver.has(CALIBRATION):
+            return None
+        return calibration_estimate(self.solver.calibration(), self.solver.covariance(CALIBRATION))
+
     def smoothed(self) -> Trajectory:
         """All poses, by all measurements; those that a fixed lag has left behind, as they were when they left.
 
@@ -157,6 +165,7 @@ class Graph:
             EstimationError: The graph cannot be solved.
         """
         try:
+            self._take_motions(None)
             if self._factors.size():
                 self._solve()
             self.solver.settle()
@@ -172,6 +181,44 @@ class Graph:
         """Write the graph into a folder, see `write_graph`."""
         estimate = self.solver.values()
         write_graph(folder, self.solver.factors(), estimate, self._scales.lengths(estimate))
+
+    def _take_motions(self, views: Views | None) -> None:
+        """Append what odometry says since the last fusion.
+
+        Where landmarks contradict it, what a constant velocity makes of where they have the camera stands in its place,
+        as uncertain as the two differ.
+        """
+        newest = len(self._poses) - 1
+        if views and self._views and newest in self._moves and (seen := self._contradiction(newest, views)):
+            doubt = np.diag(gtsam.Pose3.Logmap(self._poses[newest].between(seen)) ** 2)
+            start, begin = self._poses[self._fused], self._stamps[self._fused]
+            velocity = gtsam.Pose3.Logmap(start.between(seen)) / (self._stamps[newest] - begin)
+            for index in self._moves:
+                self._poses[index] = start.compose(gtsam.Pose3.Expmap(velocity * (self._stamps[index] - begin)))
+            for index, step in self._moves.items():
+                motion = GaussianPose(_between(self._poses[step.previous], self._poses[index]), doubt)
+                self._moves[index] = OdometryStep(step.previous, motion)
+        for index, step in self._moves.items():
+            self._move(step.previous, index, step.prev_T_cur, step.scale, step.scale_variance)
+            self._values.insert(pose_key(index), self._linearised(step.previous).compose(step.prev_T_cur.mean))
+        self._moves = {}
+
+    def _contradiction(self, index: int, views: Views) -> gtsam.Pose3 | None:
+        """Where landmarks have the camera, if motions that were not taken in yet do not lead there.
+
+        They are where visual SLAM had them at the last fusion: what is wrong since has not come to its map.
+        """
+        assert self._views is not None
+        step = self._moves[index]
+        motion = ScaledPose.of(step.prev_T_cur, step.scale_variance)
+        while step.previous in self._moves:
+            step = self._moves[step.previous]
+            motion = ScaledPose.of(step.prev_T_cur, step.scale_variance).compose(motion)
+        expected = GaussianPose(self._poses[index], motion.whole.covariance)
+        _, before, now = np.intersect1d(self._views.ids, views.ids, return_indices=True)
+        points = self._poses[self._fused].transformFrom(self._views.points[before].T).T
+        deviation = self._landmark_factors.deviation(self._noise.sigma, len(views.ids))
+        return contradiction(expected, points, views.pixels[now], self._camera, deviation, index)
 
     def _move(
         self, previous: int, index: int, motion: GaussianPose, scale: ScaleStep | None, scale_variance: float
@@ -199,7 +246,9 @@ class Graph:
             landmark = int(views.ids[n])
             if self._near(landmark, views.points[n]) and self.solver.has(landmark_key(landmark)):
                 self._observe(landmark, View(index, views.pixels[n], views.points[n], views.covariances[n]))
-        for candidate in self._newcomers.ready(index, views, known, self._poses, self._wander, self._has):
+        for candidate in self._newcomers.ready(
+            index, views, known, self._poses, self._wander, self._has, self._refined
+        ):
             away = candidate.position - self._poses[candidate.views[0].frame].translation()
             self._distances[candidate.landmark] = float(np.linalg.norm(away))
             if self.settings.landmarks == "smart":
@@ -215,7 +264,7 @@ class Graph:
         """How well the landmarks that are seen now fit where the graph has them."""
         keys = {landmark: landmark_key(landmark) for landmark in views.ids.tolist()}
         points = {landmark: self.solver.point(key) for landmark, key in keys.items() if self.solver.has(key)}
-        self._noise.learn(points, self._poses)
+        self._noise.learn(points, self._poses, self._refined)
 
     def _near(self, landmark: int, point: Array) -> bool:
         """Whether a landmark looks as it did at first: it is about as far away."""
@@ -250,7 +299,11 @@ class Graph:
     def _solve(self) -> None:
         batch = self._factors, self._values, self._seen
         self._begin_batch()  # taken in once, also where it cannot be solved
+        if batch[1].exists(CALIBRATION) or self.solver.has(CALIBRATION):
+            batch[2][CALIBRATION] = self._stamps[-1]  # within any lag
         self.solver.update(*batch)
+        if self.solver.has(CALIBRATION):
+            self._refined = self._landmark_factors.calibration.camera(self.solver.calibration())
         for index in range(max(self._fused - RECENT, 0), len(self._poses)):
             if self.has(index):
                 self._poses[index] = self.solver.pose(pose_key(index))
@@ -263,6 +316,15 @@ class Graph:
         """What the next update of the solver takes in."""
         self._factors, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._seen: dict[int, float] = {}
+
+
+def _between(a: gtsam.Pose3, b: gtsam.Pose3) -> gtsam.Pose3:
+    """The motion a_T_b, to go on from another pose.
+
+    Of rotations, each made of the one before and of itself, rounding errors would double with each frame.
+    """
+    motion = a.between(b)
+    return gtsam.Pose3(gtsam.Rot3.ClosestTo(motion.rotation().matrix()), motion.translation())
 
 
 def _motion(solver: Solver, first: int, second: int, a: gtsam.Pose3, b: gtsam.Pose3) -> GaussianPose:

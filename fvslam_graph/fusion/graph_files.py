@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.files import replacing, write_file
+from fvslam_graph.fusion.calibration import CALIBRATION
 from fvslam_graph.fusion.factors import is_landmark, is_pose, length_factor, pose_key
 
 G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
@@ -23,9 +24,9 @@ Lengths = Mapping[tuple[int, int], tuple[float, float]]
 def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gtsam.Values, lengths: Lengths) -> None:
     """Write poses and motions as g2o, which knows no pixels; landmarks as PLY; all of it as GTSAM does.
 
-    `graph.gtsam` and `values.gtsam` hold poses and landmarks; read back, they have the same optimum. The scale is given
-    there as the graph has found it, since GTSAM has no serialisation of linear factors. Nor has it one of
-    EssentialMatrixConstraint: a graph with such factors has no `graph.gtsam`.
+    `graph.gtsam` and `values.gtsam` hold poses, landmarks and the camera; read back, they have the same optimum. The
+    scale is given there as the graph has found it, since GTSAM has no serialisation of linear factors. Nor has it one
+    of EssentialMatrixConstraint: a graph with such factors has no `graph.gtsam`.
 
     Args:
         folder: Exists.
@@ -43,6 +44,8 @@ def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gts
         elif is_landmark(key):
             values.insert(key, estimate.atPoint3(key))
             points.append(estimate.atPoint3(key))
+        elif key == CALIBRATION:
+            values.insert(key, estimate.atCal3Bundler(key))
     whole, motions = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
     for slot in range(factors.size()):
         factor = factors.at(slot)

@@ -58,12 +58,12 @@ class GraphFusion(Fusion):
         super().add_odometry(frame, step)
         self._newest = frame.index
         self._step = self._left * self._step
-        motion = self.graph.add_odometry(frame.stamp, step)
+        self.graph.add_odometry(frame.stamp, step)
         start = self._poses.get(step.previous)
         if start is None:  # beyond the lag, or the first frame
             self._poses = {frame.index: super().pose}
         else:
-            self._poses = {step.previous: start, frame.index: start.compose(motion)}
+            self._poses = {step.previous: start, frame.index: start.compose(step.prev_T_cur)}
         if self._down is not None and frame.height > 0:
             sigma = math.hypot(frame.height_sigma, self._roughness * frame.height)
             self.graph.add_height(frame.height, sigma, self._down)

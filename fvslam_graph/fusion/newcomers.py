@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 NEAREST = 0.05  # metres in front of the camera
 PATIENCE = 30  # frames after which a landmark that was not seen again is given up
 GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
+UNIT_CALIBRATION = gtsam.Cal3_S2()  # of normalised coordinates
 RANK_TOLERANCE = 1e-9  # of the triangulation
 
 
@@ -49,14 +50,11 @@ class Newcomers:
     them. Those that the views tell most about come first.
 
     Args:
-        camera: Undistorted.
         settings: How many views and how much parallax are needed.
     """
 
-    def __init__(self, camera: Camera, settings: GraphSettings) -> None:
-        self._camera = camera
+    def __init__(self, settings: GraphSettings) -> None:
         self._settings = settings
-        self._calibration = gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
         self._waiting: dict[int, Candidate] = {}
 
     def ready(
@@ -67,6 +65,7 @@ class Newcomers:
         poses: list[gtsam.Pose3],
         wander: list[Array],
         has: Callable[[int], bool],
+        camera: Camera,
     ) -> list[Candidate]:
         """Take in the views of one frame, and hand out landmarks that can enter the graph.
 
@@ -78,13 +77,14 @@ class Newcomers:
             wander: (2, 2) of all frames: variance (rad^2, m^2, along an axis) by which odometry has wandered until
                 there, and until the frame that its motion starts from.
             has: Whether the graph has a variable.
+            camera: As it is known now.
         """
         ready = []
         for n in np.flatnonzero(~known):
             landmark = int(views.ids[n])
             candidate = self._waiting.setdefault(landmark, Candidate(landmark))
             candidate.views.append(View(frame, views.pixels[n], views.points[n], views.covariances[n]))
-            if len(candidate.views) >= self._settings.min_views and self._meets(candidate, poses, wander):
+            if len(candidate.views) >= self._settings.min_views and self._meets(candidate, poses, wander, camera):
                 ready.append(candidate)
         ready.sort(key=lambda candidate: (len(candidate.views), candidate.parallax), reverse=True)
         ready = ready[: self._settings.max_new]
@@ -98,24 +98,26 @@ class Newcomers:
         }
         return [candidate for candidate in ready if len(candidate.views) >= self._settings.min_views]
 
-    def _meets(self, candidate: Candidate, poses: list[gtsam.Pose3], wander: list[Array]) -> bool:
+    def _meets(self, candidate: Candidate, poses: list[gtsam.Pose3], wander: list[Array], camera: Camera) -> bool:
         """Triangulate; whether the views agree, up to how well odometry knows the poses to each other."""
         seen_from = [poses[view.frame] for view in candidate.views]
         pixels = np.array([view.pixel for view in candidate.views])
         last = seen_from[-1].rotation().matrix() @ candidate.views[-1].point
         first = last + seen_from[-1].translation() - seen_from[0].translation()
         angle = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
-        candidate.parallax = float(angle * self._camera.fx)
+        candidate.parallax = float(angle * camera.fx)
         if not candidate.parallax > self._settings.min_parallax:  # nor where visual SLAM has dropped it: NaN
             return False
         try:
-            point = gtsam.triangulatePoint3(seen_from, self._calibration, list(pixels), RANK_TOLERANCE, False)
+            point = gtsam.triangulatePoint3(
+                seen_from, UNIT_CALIBRATION, list(camera.normalize(pixels)), RANK_TOLERANCE, False
+            )
         except RuntimeError:  # behind a camera, or at infinity
             return False
         candidate.position = point
         there = np.array([pose.transformTo(point) for pose in seen_from])
-        error = self._camera.project(there) - pixels
+        error = camera.project(there) - pixels
         begin, end = wander[candidate.views[0].frame], wander[candidate.views[-1].frame]
         turned, moved = end[0] + begin[0] - 2 * begin[1]  # both are known from where the first one's motion starts
-        variance = self._settings.pixel_sigma**2 + self._camera.fx**2 * (turned + moved / there[:, 2] ** 2)
+        variance = self._settings.pixel_sigma**2 + camera.fx**2 * (turned + moved / there[:, 2] ** 2)
         return bool((there[:, 2] > NEAREST).all() and ((error**2).sum(axis=1) < GATE * variance).all())

@@ -24,25 +24,24 @@ class PixelNoise:
     a landmark with M views.
 
     Args:
-        camera: Undistorted.
         sigma: Pixels, where nothing was measured yet.
     """
 
-    def __init__(self, camera: Camera, sigma: float) -> None:
+    def __init__(self, sigma: float) -> None:
         self.sigma = sigma
-        self._camera = camera
         self._views: dict[int, list[tuple[int, Array]]] = {}  # frames and pixels of each landmark
 
     def see(self, landmark: int, frame: int, pixel: Array) -> None:
         """Take in a view of a landmark: its pixel (2,)."""
         self._views.setdefault(landmark, []).append((frame, pixel))
 
-    def learn(self, points: dict[int, Array], poses: list[gtsam.Pose3]) -> None:
+    def learn(self, points: dict[int, Array], poses: list[gtsam.Pose3], camera: Camera) -> None:
         """Take in where landmarks are now; those that are not named are forgotten.
 
         Args:
             points: (3,) in the world, metres, by landmark.
             poses: world_T_camera of all frames.
+            camera: As it is known now.
         """
         self._views = {landmark: views for landmark, views in self._views.items() if landmark in points}
         frames = np.array([frame for views in self._views.values() for frame, _ in views], np.intp)
@@ -55,7 +54,7 @@ class PixelNoise:
         camera_T_world = {frame: poses[frame].inverse().matrix() for frame in set(frames.tolist())}
         matrices = np.array([camera_T_world[frame] for frame in frames.tolist()])
         seen = np.einsum("nij,nj->ni", matrices[:, :3, :3], there) + matrices[:, :3, 3]
-        error = self._camera.project(seen) - pixels
+        error = camera.project(seen) - pixels
         variance = (BY_MEDIAN * float(np.median(np.abs(error)))) ** 2 * error.size / free
         if math.isfinite(variance):  # a landmark may have come to lie in a camera
             self.sigma = math.sqrt(self.sigma**2 + SMOOTHING * (variance - self.sigma**2))

@@ -9,19 +9,26 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.fusion.calibration import CALIBRATION
 from fvslam_graph.fusion.factors import is_landmark, is_pose
 from fvslam_graph.fusion.newcomers import NEAREST
 from fvslam_graph.fusion.summary import FARTHEST, Summary
 
 
 class Estimate(Protocol):
-    """Where poses and landmarks are."""
+    """Where poses and landmarks are, and how the camera is."""
 
     def pose(self, key: int) -> gtsam.Pose3:
         """world_T_camera."""
 
     def point(self, key: int) -> NDArray[np.float64]:
         """In the world, (3,), metres."""
+
+    def calibration(self) -> gtsam.Cal3Bundler:
+        """Of the camera."""
+
+    def has(self, key: int) -> bool:
+        """Whether a variable is there."""
 
 
 class Sightings:
@@ -68,6 +75,8 @@ class Sightings:
 
     def _summary(self, landmarks: list[int], estimate: Estimate) -> Summary:
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        if estimate.has(CALIBRATION):
+            values.insert(CALIBRATION, estimate.calibration())
         for landmark in landmarks:
             values.insert(landmark, estimate.point(landmark))
             for _, factor in self._of[landmark]:
@@ -88,8 +97,8 @@ def astray(factors: gtsam.NonlinearFactorGraph, estimate: gtsam.Values) -> set[i
     found = set()
     for slot in range(factors.size()):
         factor = factors.at(slot)
-        if isinstance(factor, gtsam.GenericProjectionFactorCal3_S2):
-            pose, landmark = factor.keys()
+        if isinstance(factor, gtsam.GeneralSFMFactor2Cal3Bundler):
+            pose, landmark, _ = factor.keys()
             if not NEAREST < estimate.atPose3(pose).transformTo(estimate.atPoint3(landmark))[2] < FARTHEST:
                 found.add(landmark)
     return found

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
+from fvslam_graph.fusion.calibration import CALIBRATION, is_camera
 from fvslam_graph.fusion.factors import is_landmark, is_pose
 from fvslam_graph.fusion.sightings import Sightings, astray
 
@@ -21,6 +22,7 @@ _log = logging.getLogger(__name__)
 WEAK = 10.0  # rad, m, of a logarithm: a prior that determines a variable and pulls at nothing
 HELD = 1e-3  # rad and m: the oldest pose within a lag, where what was before is lost
 TURNED = 1e-3  # rad; a pose that turns by more is linearised again
+RECALIBRATED = 1e-4  # of a coefficient of distortion, and of 1000 pixels of focal length, likewise
 NEVER = 10**9  # updates
 GROWTH = 0.1  # by what share the number of updates grows until what has moved is linearised again
 UNSEEN = 10  # updates with other landmarks, after which one that was not seen again is summed up
@@ -113,6 +115,10 @@ class Solver:
         """Where factors of a pose are linearised."""
         return self._isam.getLinearizationPoint().atPose3(key)
 
+    def calibration(self) -> gtsam.Cal3Bundler:
+        """The estimate of the camera's calibration."""
+        return self._solver.calculateEstimateCal3Bundler(CALIBRATION)
+
     def point(self, key: int) -> NDArray[np.float64]:
         """The estimate of a point (3,)."""
         point: NDArray[np.float64] = self._solver.calculateEstimatePoint3(key)
@@ -153,6 +159,7 @@ class Solver:
         parameters = gtsam.ISAM2Params()
         thresholds = gtsam.ISAM2ThresholdMap()
         thresholds.insert(("x", np.repeat([TURNED, self._settings.relinearise], 3)))
+        thresholds.insert(("c", np.array([RECALIBRATED * 1e3, RECALIBRATED, RECALIBRATED])))
         thresholds.insert(("l", np.full(3, self._settings.relinearise)))
         for linear in ("s", "b"):  # what depends on scales is linear
             thresholds.insert((linear, np.ones(1)))
@@ -178,6 +185,8 @@ class Solver:
             self._solver.update(factors, values, stamps)
         newest = max(filter(is_pose, stamps), key=stamps.__getitem__)  # older ones may be beyond the lag
         self._solver.calculateEstimatePose3(newest)  # throws, too, if at all
+        if self.has(CALIBRATION) and not is_camera(self.calibration()):
+            raise RuntimeError("the calibration has diverged")
 
     def _linearise_again(self, newest: Iterable[int]) -> None:
         """Linearise again what has moved, all at once, but for landmarks that came to lie behind a camera.
@@ -237,7 +246,7 @@ class Solver:
         for _ in range(ATTEMPTS):
             found = _NAMED.search(str(error))
             key = int(found[1]) if found is not None and values.exists(int(found[1])) else None
-            if by_priors and key is not None and key not in held:
+            if by_priors and key is not None and key not in held | {CALIBRATION}:  # which has a prior: it is a landmark
                 held.add(key)
                 name = gtsam.DefaultKeyFormatter(key)
                 _log.warning("%s is not determined by what was measured; it is held within %g", name, WEAK)
@@ -268,8 +277,13 @@ class Solver:
         return bool(dropped)
 
     def _keep_within(self, values: gtsam.Values) -> None:
-        """Of the factors, keep those whose variables are all within the lag; the oldest pose stays where it is."""
+        """Of the factors, keep those whose variables are all within the lag.
+
+        The oldest pose stays where it is, and the camera as it is, whose prior is beyond the lag.
+        """
         self._remove(lambda key: not values.exists(key))
+        if values.exists(CALIBRATION):
+            self._add(_prior(CALIBRATION, values, HELD))
         oldest = min((key for key in values.keys() if is_pose(key)), key=lambda key: self._stamps[key])  # noqa: SIM118
         self._add(_prior(oldest, values, HELD))
 
@@ -291,6 +305,8 @@ def _prior(key: int, values: gtsam.Values, sigma: float) -> gtsam.NonlinearFacto
     """That a variable is where it is."""
     if is_pose(key):
         return gtsam.PriorFactorPose3(key, values.atPose3(key), gtsam.noiseModel.Isotropic.Sigma(6, sigma))
+    if key == CALIBRATION:
+        return gtsam.PriorFactorCal3Bundler(key, values.atCal3Bundler(key), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
     if is_landmark(key):
         return gtsam.PriorFactorPoint3(key, values.atPoint3(key), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
     return gtsam.PriorFactorDouble(key, values.atDouble(key), gtsam.noiseModel.Isotropic.Sigma(1, sigma))

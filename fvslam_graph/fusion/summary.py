@@ -5,11 +5,13 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
+from fvslam_graph.fusion.calibration import CALIBRATION
+
 FARTHEST = 1e6  # metres; a landmark known less well than that is not determined
 
 
 class Summary:
-    """Factors about poses and landmarks, from which the landmarks are eliminated.
+    """Factors about poses, landmarks and the camera, from which the landmarks are eliminated.
 
     What is left is linear in what the poses have moved since. What moves a path most, a shift and a change of its
     scale, leaves what pixels say of it alone, so that little is lost.
@@ -17,11 +19,11 @@ class Summary:
     Args:
         factors: All that are about these landmarks.
         landmarks: Their keys.
-        estimate: Of the poses and landmarks, where factors are linearised and told from outliers.
+        estimate: Of these variables, where factors are linearised and told from outliers.
 
     Attributes:
         landmarks: Their keys.
-        factor: About the poses alone.
+        factor: About the poses and the camera alone.
     """
 
     def __init__(self, factors: gtsam.NonlinearFactorGraph, landmarks: list[int], estimate: gtsam.Values) -> None:
@@ -41,8 +43,9 @@ class Summary:
     def insert_landmarks(self, values: gtsam.Values) -> None:
         """Add the landmarks to values of the poses, where they are most likely for these."""
         moved = gtsam.VectorValues()
-        for pose in self.factor.keys():  # noqa: SIM118
-            moved.insert(pose, self._estimate.atPose3(pose).localCoordinates(values.atPose3(pose)))
+        for key in self.factor.keys():  # noqa: SIM118
+            at = gtsam.Values.atCal3Bundler if key == CALIBRATION else gtsam.Values.atPose3
+            moved.insert(key, at(self._estimate, key).localCoordinates(at(values, key)))
         found = self._estimate.retract(self._by_poses.solve(moved))
         for landmark in self.landmarks:
             values.insert(landmark, found.atPoint3(landmark))

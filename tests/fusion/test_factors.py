@@ -7,6 +7,7 @@ import pytest
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.fusion.calibration import CALIBRATION
 from fvslam_graph.fusion.factors import (
     LandmarkFactors,
     height_factor,
@@ -151,8 +152,10 @@ def test_bearing_and_range_hold_the_covariance_of_the_point():
 def test_projection_is_the_camera():
     point = np.array([1.0, -0.5, 6.0])
     pixel = CAMERA.project(point[None])[0]
-    factor = LandmarkFactors(CAMERA, PLAIN).projection(0, 3, pixel + np.array([0.2, 0]), 0.2, 0)
+    factors = LandmarkFactors(CAMERA, PLAIN)
+    factor = factors.projection(0, 3, pixel + np.array([0.2, 0]), 0.2, 0)
     values = gtsam.Values()
+    values.insert(CALIBRATION, factors.calibration.start)
     values.insert(pose_key(0), gtsam.Pose3())
     values.insert(landmark_key(3), point)
     assert factor.error(values) == pytest.approx(0.5)

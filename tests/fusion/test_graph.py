@@ -10,13 +10,15 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
 from fvslam_graph.estimates import GaussianPose, OdometryStep
-from fvslam_graph.fusion.factors import is_landmark, landmark_key, pose_key, position_factor
+from fvslam_graph.fusion.calibration import CALIBRATION
+from fvslam_graph.fusion.factors import LandmarkFactors, is_landmark, landmark_key, pose_key, position_factor
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.graph_files import FACTORS, G2O, LANDMARKS_PLY, VALUES
 from fvslam_graph.fusion.solver import Solver
 
 from .conftest import MOTION, PIXEL, error_of
 
+SEEN = LandmarkFactors(Camera(640, 480, 450, 450, 320, 240), GraphSettings(kernel="none"))
 SEEDS = range(5)
 MANY = range(10, 40)
 
@@ -67,11 +69,11 @@ def test_motions_and_covariances_are_honest(fed, seeds):
 
 @pytest.mark.parametrize("shared", [{}, {"shared_noise": GraphSettings().shared_noise}], ids=["own", "shared"])
 def test_a_fifth_of_gross_outliers(error_fed, shared):
-    """In odometry and landmarks, after a clean start; now and then one path is lost, in what last bits decide."""
+    """In odometry and landmarks, after a clean start; a path may be lost where last bits decide."""
     clean = np.median([error_fed(seed=seed, **shared) for seed in SEEDS])
     wrong = np.array([error_fed(seed=seed, wrong=0.2, **shared) for seed in range(11)])
-    assert np.median(wrong) < 1.5 * clean  # measured 0.95 and 1.10 on three kinds of processors, up to 1.23
-    assert np.sum(wrong > 4 * clean) <= 2
+    assert np.median(wrong) < 2 * clean  # measured 1.0 to 1.6 on three kinds of processors
+    assert np.sum(wrong > 4 * clean) <= 1  # measured none in 20
 
 
 def test_darkness(fed):
@@ -145,39 +147,40 @@ def test_standing_still_for_longer_than_the_lag():
     assert matrix @ matrix.T == pytest.approx(np.eye(3), abs=1e-9)
 
 
+def _camera_enters(factors, values):
+    factors.add(SEEN.calibration.prior())
+    values.insert(CALIBRATION, SEEN.calibration.start)
+
+
 def test_a_variable_that_is_not_determined_is_named_and_held(caplog):
-    solver = Solver(GraphSettings())
+    solver, position = Solver(GraphSettings()), np.array([0.0, 0.0, 5.0])
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     factors.add(gtsam.PriorFactorPose3(pose_key(0), gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 0.1)))
-    calibration = gtsam.Cal3_S2(450, 450, 0, 320, 240)
-    noise = gtsam.noiseModel.Isotropic.Sigma(2, 1.0)
-    factors.add(
-        gtsam.GenericProjectionFactorCal3_S2(np.array([320.0, 240.0]), noise, pose_key(0), landmark_key(7), calibration)
-    )
+    factors.add(position_factor(1, position, 1.0))
     values.insert(pose_key(0), gtsam.Pose3())
-    values.insert(landmark_key(7), np.array([0.0, 0.0, 5.0]))
-    solver.update(factors, values, {pose_key(0): 0.0, landmark_key(7): 0.0})
-    assert solver.repaired == ["l7"]
-    assert "l7 is not determined" in caplog.text
-    assert solver.point(landmark_key(7)) == pytest.approx([0, 0, 5])
+    values.insert(pose_key(1), gtsam.Pose3(gtsam.Rot3(), position))
+    solver.update(factors, values, {pose_key(0): 0.0, pose_key(1): 0.0})
+    assert solver.repaired == ["x1"]
+    assert "x1 is not determined" in caplog.text
+    assert solver.pose(pose_key(1)).translation() == pytest.approx(position)
 
 
 @pytest.mark.parametrize(("point", "kept"), [([0.0, 0.0, 4.0], True), ([0.0, 0.0, -4.0], False), ([0, 0, 1e9], False)])
 def test_a_landmark_that_steps_behind_a_camera_is_left_out(point, kept):
     """There a projection says nothing of it, so that once linearised it would not be determined."""
-    solver, calibration = Solver(GraphSettings()), gtsam.Cal3_S2(450, 450, 0, 320, 240)
+    solver = Solver(GraphSettings())
     factors, values, key = gtsam.NonlinearFactorGraph(), gtsam.Values(), landmark_key(7)
-    noise = gtsam.noiseModel.Isotropic.Sigma(2, 1.0)
+    _camera_enters(factors, values)
     factors.add(gtsam.PriorFactorPose3(pose_key(0), gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 0.1)))
-    factors.add(gtsam.GenericProjectionFactorCal3_S2(np.array([320.0, 240.0]), noise, pose_key(0), key, calibration))
+    factors.add(SEEN.projection(0, 7, np.array([320.0, 240.0]), 1.0, 0))
     factors.add(gtsam.PriorFactorPoint3(key, np.array(point), gtsam.noiseModel.Isotropic.Sigma(3, 0.1)))
     values.insert(pose_key(0), gtsam.Pose3())
     values.insert(key, np.array([0.0, 0.0, 5.0]))
-    solver.update(factors, values, {pose_key(0): 0.0, key: 0.0})
+    solver.update(factors, values, {CALIBRATION: 0.0, pose_key(0): 0.0, key: 0.0})
     assert (solver.has(key), solver.values().exists(key), solver.factors().nrFactors()) == (
         kept,
         kept,
-        3 if kept else 1,
+        4 if kept else 2,
     )
     assert solver.repaired == []
     solver.settle()
@@ -186,15 +189,15 @@ def test_a_landmark_that_steps_behind_a_camera_is_left_out(point, kept):
 
 def test_a_landmark_that_no_prior_helps_is_dropped(caplog):
     """As by a pixel that is not a number; what was known before stays, and all can be solved again."""
-    solver, calibration = Solver(GraphSettings()), gtsam.Cal3_S2(450, 450, 0, 320, 240)
+    solver = Solver(GraphSettings())
     poses = [gtsam.Pose3(gtsam.Rot3(), np.array([0.5 * index, 0.0, 0.0])) for index in range(3)]
-    first, near = gtsam.noiseModel.Isotropic.Sigma(6, 0.1), gtsam.noiseModel.Isotropic.Sigma(2, 1.0)
+    first = gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
 
     def see(factors, index, landmark, pixel):
-        keys = pose_key(index), landmark_key(landmark)
-        factors.add(gtsam.GenericProjectionFactorCal3_S2(np.array(pixel), near, *keys, calibration))
+        factors.add(SEEN.projection(index, landmark, np.array(pixel), 1.0, 0))
 
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    _camera_enters(factors, values)
     factors.add(gtsam.PriorFactorPose3(pose_key(0), poses[0], first))
     factors.add(gtsam.BetweenFactorPose3(pose_key(0), pose_key(1), poses[0].between(poses[1]), first))
     see(factors, 0, 7, [320.0, 240.0])
@@ -202,7 +205,7 @@ def test_a_landmark_that_no_prior_helps_is_dropped(caplog):
     for index in (0, 1):
         values.insert(pose_key(index), poses[index])
     values.insert(landmark_key(7), np.array([0.0, 0.0, 5.0]))
-    solver.update(factors, values, {pose_key(0): 0.0, pose_key(1): 0.1, landmark_key(7): 0.1})
+    solver.update(factors, values, {CALIBRATION: 0.0, pose_key(0): 0.0, pose_key(1): 0.1, landmark_key(7): 0.1})
 
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     factors.add(gtsam.BetweenFactorPose3(pose_key(1), pose_key(2), poses[1].between(poses[2]), first))

@@ -18,11 +18,11 @@ SHIFTED = gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.05, 0.0]))  # 3.7 pixels
 
 def handed_out(last: gtsam.Pose3, wander: list[np.ndarray]) -> int:
     """How many landmarks enter at the last of four frames, where odometry has the camera there."""
-    newcomers, poses = Newcomers(CAMERA, GraphSettings(min_views=4)), [*TRUE[:3], last]
+    newcomers, poses = Newcomers(GraphSettings(min_views=4)), [*TRUE[:3], last]
     for index, true in enumerate(TRUE):
         there = true.transformTo(POINT)[None]
         views = Views(np.array([7]), CAMERA.project(there), there, 0.01 * np.eye(3)[None])
-        ready = newcomers.ready(index, views, np.zeros(1, bool), poses, wander, lambda _: True)
+        ready = newcomers.ready(index, views, np.zeros(1, bool), poses, wander, lambda _: True, CAMERA)
     return len(ready)
 
 

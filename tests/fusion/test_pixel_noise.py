@@ -27,7 +27,7 @@ def test_residuals_of_triangulated_landmarks():
     scene = simulate_drive(frames=12, seed=0, noise=0.7, landmarks=4000)
     camera, poses = scene.camera, list(scene.trajectory.poses)
     calibration = gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
-    noise, views = PixelNoise(camera, 5.0), {}
+    noise, views = PixelNoise(5.0), {}
     for index in range(12):
         seen = scene.observe(index)
         for landmark, pixel in zip(seen.ids.tolist(), seen.pixels, strict=True):
@@ -40,14 +40,14 @@ def test_residuals_of_triangulated_landmarks():
             places, pixels = [poses[index] for index, _ in seen], [pixel for _, pixel in seen]
             points[landmark] = gtsam.triangulatePoint3(places, calibration, pixels, 1e-9, True)
     for _ in range(100):
-        noise.learn(points, poses)
+        noise.learn(points, poses, camera)
     assert len(points) > 50
     assert noise.sigma == pytest.approx(0.7, rel=0.15)
 
 
 def test_nothing_is_learnt_from_too_little():
-    noise = PixelNoise(simulate_drive(frames=2, seed=0).camera, 0.4)
-    noise.learn({}, [])
+    noise = PixelNoise(0.4)
+    noise.learn({}, [], simulate_drive(frames=2, seed=0).camera)
     assert noise.sigma == 0.4
 
 

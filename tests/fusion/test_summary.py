@@ -8,6 +8,7 @@ import pytest
 
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.fusion.calibration import CALIBRATION
 from fvslam_graph.fusion.factors import LandmarkFactors, landmark_key, motion_factor, pose_factor, pose_key
 from fvslam_graph.fusion.sightings import Sightings
 from fvslam_graph.fusion.solver import UNSEEN
@@ -39,7 +40,9 @@ class Small:
         return _graph(self.motions, self.sightings)
 
     def poses(self) -> gtsam.Values:
+        """And the camera."""
         poses = gtsam.Values()
+        poses.insert(CALIBRATION, self.estimate.atCal3Bundler(CALIBRATION))
         for frame in FRAMES:
             poses.insert(pose_key(frame), self.estimate.atPose3(pose_key(frame)))
         return poses
@@ -58,7 +61,10 @@ def small() -> Small:
     settings = GraphSettings(shared_noise=0.0)
     motions, sightings, values = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph(), gtsam.Values()
     poses = scene.trajectory.poses
+    factors = LandmarkFactors(scene.camera, settings)
     motions.add(pose_factor(0, GaussianPose.identity()))
+    motions.add(factors.calibration.prior())
+    values.insert(CALIBRATION, factors.calibration.start)
     for frame in FRAMES:
         values.insert(pose_key(frame), poses[frame])
         if frame:
@@ -66,7 +72,6 @@ def small() -> Small:
             motions.add(motion_factor(frame - 2, frame, GaussianPose(motion, np.diag(MOTION**2)), settings))
     seen = [scene.observe(frame) for frame in FRAMES]
     shared = sorted(set.intersection(*(set(frame.ids.tolist()) for frame in seen)))[:30]
-    factors = LandmarkFactors(scene.camera, settings)
     for landmark in shared:
         values.insert(landmark_key(landmark), poses[0].transformFrom(scene.in_camera(0)[landmark]))
         for frame, observed in zip(FRAMES, seen, strict=True):
@@ -110,6 +115,7 @@ def test_poses_and_landmarks_are_those_of_the_whole(small):
 def test_a_shift_and_a_change_of_scale_leave_it_alone(small, scale, shift):
     summary = Summary(small.sightings, small.landmarks, small.estimate)
     moved, poses = gtsam.Values(), small.poses()
+    moved.insert(CALIBRATION, poses.atCal3Bundler(CALIBRATION))
     for frame in FRAMES:
         pose = poses.atPose3(pose_key(frame))
         moved.insert(pose_key(frame), gtsam.Pose3(pose.rotation(), scale * pose.translation() + shift))
@@ -150,6 +156,12 @@ class _At:
     def point(self, key: int) -> np.ndarray:
         point: np.ndarray = self._values.atPoint3(key)
         return point
+
+    def calibration(self) -> gtsam.Cal3Bundler:
+        return self._values.atCal3Bundler(CALIBRATION)
+
+    def has(self, key: int) -> bool:
+        return bool(self._values.exists(key))
 
 
 @pytest.mark.parametrize("nowhere", [np.array([0.0, 0.0, -5.0]), np.full(3, np.inf)], ids=["behind", "infinite"])

@@ -1,0 +1,82 @@
+"""The camera's calibration as a variable of the graph: focal length and radial distortion, of all images the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.camera import Camera, Distortion
+from fvslam_graph.config import GraphSettings
+
+Array = NDArray[np.float64]
+
+CALIBRATION = int(gtsam.symbol("c", 0))
+MAX_K1 = 1.0
+FIXED = 1e-6  # standard deviation of what is not estimated, as no factor is exact
+
+
+@dataclass(frozen=True)
+class CalibrationEstimate:
+    """What landmarks tell of the camera, after all that its file says.
+
+    Attributes:
+        focal_length: Pixels, along x.
+        focal_sigma: Its standard deviation.
+        k1: Radial distortion that is left in the images, as OpenCV's.
+        k1_sigma: Its standard deviation.
+    """
+
+    focal_length: float
+    focal_sigma: float
+    k1: float
+    k1_sigma: float
+
+
+class SelfCalibration:
+    """Turns the calibration of the file into a variable with a prior, and its estimate into a camera.
+
+    The variable is GTSAM's Cal3Bundler, whose pixels are square: those of the camera are stretched to be so.
+
+    Args:
+        camera: As the file has it, undistorted.
+        settings: How well its numbers are known.
+    """
+
+    def __init__(self, camera: Camera, settings: GraphSettings) -> None:
+        self._camera = camera
+        self._sigmas = np.maximum([settings.focal_sigma * camera.fx, settings.distortion_sigma, 0.0], FIXED)
+        self.start = gtsam.Cal3Bundler(camera.fx, 0.0, 0.0, camera.cx, camera.cy)
+
+    def prior(self) -> gtsam.NonlinearFactor:
+        """What the file says."""
+        noise = gtsam.noiseModel.Diagonal.Sigmas(self._sigmas)
+        return gtsam.PriorFactorCal3Bundler(CALIBRATION, self.start, noise)
+
+    def stretched(self, pixel: Array) -> Array:
+        """A pixel (2,) where it would be if pixels were square."""
+        camera = self._camera
+        return np.array([pixel[0], camera.cy + (pixel[1] - camera.cy) * camera.fx / camera.fy])
+
+    def camera(self, value: gtsam.Cal3Bundler) -> Camera:
+        """The camera with another value of the variable."""
+        return replace(
+            self._camera,
+            fx=value.fx(),
+            fy=value.fx() * self._camera.fy / self._camera.fx,
+            distortion=Distortion.RADTAN,
+            coefficients=(value.k1(), value.k2(), 0.0, 0.0),
+        )
+
+
+def is_camera(value: gtsam.Cal3Bundler) -> bool:
+    """Whether a camera can be like that: a step that is too long may lead anywhere."""
+    return bool(value.fx() > 0 and abs(value.k1()) < MAX_K1)
+
+
+def calibration_estimate(value: gtsam.Cal3Bundler, covariance: Array) -> CalibrationEstimate:
+    """A value of the variable with its covariance (3, 3)."""
+    focal_sigma, k1_sigma, _ = np.sqrt(np.diag(covariance))
+    return CalibrationEstimate(value.fx(), float(focal_sigma), value.k1(), float(k1_sigma))
