@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -98,15 +98,23 @@ class Run:
         return len(self.online) / (self.info.get("frames") or np.nan)
 
 
-def smooth(graph: Graph | None) -> tuple[Trajectory | None, dict[str, str]]:
-    """The poses by all measurements, as far as these determine them, and what run.json says of it as `smoothed`."""
+def smooth(graph: Graph | None) -> tuple[Trajectory | None, dict[str, Any]]:
+    """The poses by all measurements, as far as these determine them, and what run.json says of it.
+
+    That is how many poses are `smoothed`, and the `calibration` of the camera with its standard deviations.
+    """
     if graph is None:
         return None, {}
     try:
         smoothed = graph.smoothed()
     except EstimationError as error:
         return None, {"smoothed": f"not determined: {error}"}
-    return smoothed, {"smoothed": f"{len(smoothed)} of {graph.frames} poses"}
+    said: dict[str, Any] = {"smoothed": f"{len(smoothed)} of {graph.frames} poses"}
+    try:
+        calibration = graph.calibration
+    except (EstimationError, RuntimeError):  # as which GTSAM's exceptions arrive
+        return smoothed, said | {"calibration": "not determined"}
+    return smoothed, said if calibration is None else said | {"calibration": asdict(calibration)}
 
 
 def collect(

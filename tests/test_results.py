@@ -223,6 +223,7 @@ class Stopped:
     """A graph at whose end something happens."""
 
     frames = 5
+    calibration = None
 
     def __init__(self, stop: BaseException | None = None, folder: Path | None = None) -> None:
         self.stop, self.folder = stop, folder

@@ -7,6 +7,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.estimates import GaussianPose, OdometryStep, Views
 from fvslam_graph.fusion.graph import Graph
@@ -26,9 +27,9 @@ class Fed:
         motions: Handed out at each interleaved frame, with the frames they lead from and to.
     """
 
-    def __init__(self, scene: PointScene, settings: GraphSettings) -> None:
+    def __init__(self, scene: PointScene, settings: GraphSettings, camera: Camera | None = None) -> None:
         self.scene = scene
-        self.graph = Graph(scene.camera, settings)
+        self.graph = Graph(camera or scene.camera, settings)
         self.motions: list[tuple[int, int, GaussianPose]] = []
 
     def error(self) -> float:
@@ -42,6 +43,7 @@ def fed() -> Callable[..., Fed]:
     """Feeds a graph, with a share of motions and of pixels that are grossly wrong.
 
     It follows up to `count` landmarks; unless they are `recognised`, those seen after the darkness are others.
+    The graph may believe in another `camera` than the one that sees the scene.
     """
 
     def make(
@@ -54,12 +56,13 @@ def fed() -> Callable[..., Fed]:
         dark: range = range(0),
         recognised: bool = True,
         count: int = 40,
+        camera: Camera | None = None,
         **settings: object,
     ) -> Fed:
         scene = scene or simulate_drive(frames=frames, seed=seed, noise=noise * PIXEL, landmarks=150 * frames)
         # Simulated pixels err each on its own.
         honest = {"pixel_sigma": PIXEL, "shared_noise": 0.0, "counting": "double"}
-        made = Fed(scene, GraphSettings(**{**honest, **settings}))  # type: ignore[arg-type]
+        made = Fed(scene, GraphSettings(**{**honest, **settings}), camera)  # type: ignore[arg-type]
         rng = np.random.default_rng([seed, 4])
         poses, last, followed = scene.trajectory.poses, 0, np.empty(0, np.int64)
         for index in range(len(scene)):
