@@ -146,9 +146,9 @@ class GraphSettings(_Group):
     pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark along each axis, until its noise was measured
     # What all landmarks of an image err alike, in deviations of one of them: their number does not average that out.
     shared_noise: float = Field(0.5, ge=0)
-    # How well the calibration is known that the images come with: it is estimated with all else.
-    focal_sigma: float = Field(0.02, ge=0)  # share of the focal length
-    distortion_sigma: float = Field(0.02, ge=0)  # radial, k1
+    # How well the calibration is known that the images come with, as a rule: it is estimated with all else.
+    focal_sigma: float = Field(0.001, ge=0)  # share of the focal length
+    distortion_sigma: float = Field(0.001, ge=0)  # radial, k1
     min_views: int = Field(3, ge=2)  # of a landmark that enters the graph
     max_zoom: float = Field(1.6, ge=1)  # nearer or farther than at first by this factor, its patch looks too different
     min_parallax: PositiveFloat = 3.0  # pixels between the first and the last view of a landmark that enters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import gtsam
@@ -160,6 +160,7 @@ class OdometryStep:
         scale_variance: How much of its covariance is due to the logarithm of the scale; 0 where that is not known.
         awaited: Frames besides this one and the previous one, against which motions to come may be measured.
         measured: Whether images tell it; a motion model's has no noise in common with others.
+        by_calibration: (6, 2) how it changes with the logarithm of the focal length and with k1, in its tangent.
     """
 
     previous: int
@@ -168,6 +169,7 @@ class OdometryStep:
     scale_variance: float = 0.0
     awaited: tuple[int, ...] = ()
     measured: bool = True
+    by_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
 
 
 @dataclass(frozen=True)

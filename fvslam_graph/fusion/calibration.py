@@ -14,6 +14,7 @@ from fvslam_graph.config import GraphSettings
 Array = NDArray[np.float64]
 
 CALIBRATION = int(gtsam.symbol("c", 0))
+TAILS = 1.0  # standard deviations, width of a Cauchy distribution
 MAX_K1 = 1.0
 FIXED = 1e-6  # standard deviation of what is not estimated, as no factor is exact
 
@@ -51,9 +52,18 @@ class SelfCalibration:
         self.start = gtsam.Cal3Bundler(camera.fx, 0.0, 0.0, camera.cx, camera.cy)
 
     def prior(self) -> gtsam.NonlinearFactor:
-        """What the file says."""
+        """What the file says: it is right as a rule, and if it is not, it may be wrong by far."""
         noise = gtsam.noiseModel.Diagonal.Sigmas(self._sigmas)
-        return gtsam.PriorFactorCal3Bundler(CALIBRATION, self.start, noise)
+        tails = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(TAILS), noise)
+        return gtsam.PriorFactorCal3Bundler(CALIBRATION, self.start, tails)
+
+    def step(self, value: gtsam.Cal3Bundler) -> Array:
+        """What a value adds to the logarithm of the focal length and to k1 of the file, (2,)."""
+        return np.array([value.fx() / self._camera.fx - 1, value.k1()])
+
+    def jacobian(self) -> Array:
+        """Derivative of this step in the tangent of the variable, (2, 3)."""
+        return np.array([[1 / self._camera.fx, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
     def stretched(self, pixel: Array) -> Array:
         """A pixel (2,) where it would be if pixels were square."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.estimates import GaussianPose, OdometryStep
 from fvslam_graph.fusion.calibration import CALIBRATION, SelfCalibration
 
 Array = NDArray[np.float64]
@@ -78,31 +78,62 @@ def motion_factor(
         length: Whether it tells how long the motion is; an `essential` one never does.
     """
     keys = pose_key(previous), pose_key(index)
-    factor = settings.deflation if settings.counting == "deflated" else 1.0
-    covariance = factor * prev_T_cur.covariance + LEAST_VARIANCE * np.eye(6)
     distance = float(np.linalg.norm(prev_T_cur.mean.translation()))
     if settings.odometry == "between" or distance < SHORT:
-        told = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        if not length:
-            travel = gtsam.Unit3(prev_T_cur.mean.rotation().unrotate(prev_T_cur.mean.translation()))
-            across = scipy.linalg.block_diag(np.eye(3), travel.basis())
-            root = np.zeros((6, 6))
-            root[:5] = np.linalg.inv(np.linalg.cholesky(across.T @ covariance @ across)) @ across.T
-            told = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
-        return gtsam.BetweenFactorPose3(*keys, prev_T_cur.mean, robust(told, settings))
+        return gtsam.BetweenFactorPose3(*keys, prev_T_cur.mean, motion_noise(prev_T_cur, settings, length))
     direction = gtsam.Unit3(prev_T_cur.mean.translation())
     by_pose = np.zeros((5, 6))
     by_pose[:3, :3] = np.eye(3)
     by_pose[3:, 3:] = direction.basis().T @ prev_T_cur.mean.rotation().matrix() / distance
-    noise = robust(gtsam.noiseModel.Gaussian.Covariance(by_pose @ covariance @ by_pose.T), settings)
+    covariance = by_pose @ _counted(prev_T_cur, settings) @ by_pose.T
+    noise = robust(gtsam.noiseModel.Gaussian.Covariance(covariance), settings)
     essential = gtsam.EssentialMatrix(prev_T_cur.mean.rotation(), direction)
     return gtsam.EssentialMatrixConstraint(*keys, essential, noise)
+
+
+def motion_noise(prev_T_cur: GaussianPose, settings: GraphSettings, length: bool) -> gtsam.noiseModel.Base:
+    """The noise of a motion of six degrees of freedom, or five where another factor tells the length."""
+    covariance = _counted(prev_T_cur, settings)
+    told = gtsam.noiseModel.Gaussian.Covariance(covariance)
+    if not length:
+        travel = gtsam.Unit3(prev_T_cur.mean.rotation().unrotate(prev_T_cur.mean.translation()))
+        across = scipy.linalg.block_diag(np.eye(3), travel.basis())
+        root = np.zeros((6, 6))
+        root[:5] = np.linalg.inv(np.linalg.cholesky(across.T @ covariance @ across)) @ across.T
+        told = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
+    return robust(told, settings)
+
+
+def _counted(motion: GaussianPose, settings: GraphSettings) -> Array:
+    """Its covariance (6, 6), where pixels of landmarks are not to count twice."""
+    factor = settings.deflation if settings.counting == "deflated" else 1.0
+    counted: Array = factor * motion.covariance + LEAST_VARIANCE * np.eye(6)
+    return counted
 
 
 def length_factor(previous: int, index: int, metres: float, sigma: float) -> gtsam.NonlinearFactor:
     """How far apart the camera was at two frames, with its standard deviation, metres."""
     noise = gtsam.noiseModel.Isotropic.Sigma(1, sigma)
     return gtsam.RangeFactorPose3(pose_key(previous), pose_key(index), metres, noise)
+
+
+def calibrated_motion_factor(
+    index: int, step: OdometryStep, settings: GraphSettings, calibration: SelfCalibration, length: bool = True
+) -> gtsam.NonlinearFactor:
+    """As `motion_factor`, `between`, with a mean that changes with the calibration as odometry says."""
+    first, second, measured = pose_key(step.previous), pose_key(index), step.prev_T_cur.mean
+    by_variable = -step.by_calibration @ calibration.jacobian()
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        motion = values.atPose3(first).between(values.atPose3(second))
+        off: Array = measured.localCoordinates(motion)
+        if jacobians is not None:
+            by_motion = gtsam.Pose3.LogmapDerivative(off)
+            jacobians[0], jacobians[1] = -by_motion @ motion.inverse().AdjointMap(), by_motion
+            jacobians[2] = by_variable
+        return off - step.by_calibration @ calibration.step(values.atCal3Bundler(CALIBRATION))
+
+    return gtsam.CustomFactor(motion_noise(step.prev_T_cur, settings, length), [first, second, CALIBRATION], error)
 
 
 class LandmarkFactors:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.camera import Camera
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
-from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaledPose, ScaleStep, Views
+from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaledPose, Views
 from fvslam_graph.fusion.calibration import (
     CALIBRATION,
     CalibrationEstimate,
@@ -21,6 +22,7 @@ from fvslam_graph.fusion.calibration import (
 from fvslam_graph.fusion.factors import (
     SHORT,
     LandmarkFactors,
+    calibrated_motion_factor,
     height_factor,
     is_pose,
     landmark_key,
@@ -77,8 +79,7 @@ class Graph:
 
     def add_odometry(self, stamp: float, step: OdometryStep) -> None:
         """Append the next frame, at `stamp` seconds, with its motion since an earlier one."""
-        previous, motion, scale, scale_variance = step.previous, step.prev_T_cur, step.scale, step.scale_variance
-        index = len(self._poses)
+        previous, motion, index = step.previous, step.prev_T_cur, len(self._poses)
         self._stamps.append(stamp)
         if index == 0:
             self._poses.append(gtsam.Pose3())
@@ -91,11 +92,11 @@ class Graph:
                 # What odometry refers to is no longer kept: a camera that stands still has an old reference.
                 previous = index - 1
                 motion = GaussianPose(_between(self._poses[previous], self._poses[index]), motion.covariance)
-                scale, scale_variance = None, 0.0
-            own = motion.with_scale_variance(-scale_variance)  # a scale in common displaces no landmark
+                step = OdometryStep(previous, motion)
+            own = motion.with_scale_variance(-step.scale_variance)  # a scale in common displaces no landmark
             start = self._wander[previous][0]
             self._wander.append(np.array([start + np.diag(own.covariance).reshape(2, 3).max(axis=1), start]))
-            self._moves[index] = OdometryStep(previous, motion, scale, scale_variance)
+            self._moves[index] = step
         self._seen[pose_key(index)] = stamp
 
     def add_height(self, height: float, sigma: float, down: Array) -> None:
@@ -199,7 +200,7 @@ class Graph:
                 motion = GaussianPose(_between(self._poses[step.previous], self._poses[index]), doubt)
                 self._moves[index] = OdometryStep(step.previous, motion)
         for index, step in self._moves.items():
-            self._move(step.previous, index, step.prev_T_cur, step.scale, step.scale_variance)
+            self._move(index, step)
             self._values.insert(pose_key(index), self._linearised(step.previous).compose(step.prev_T_cur.mean))
         self._moves = {}
 
@@ -220,23 +221,24 @@ class Graph:
         deviation = self._landmark_factors.deviation(self._noise.sigma, len(views.ids))
         return contradiction(expected, points, views.pixels[now], self._camera, deviation, index)
 
-    def _move(
-        self, previous: int, index: int, motion: GaussianPose, scale: ScaleStep | None, scale_variance: float
-    ) -> None:
-        """The factors of a motion of odometry, of whose covariance so much is due to its scale."""
+    def _move(self, index: int, step: OdometryStep) -> None:
+        """The factors of a motion of odometry."""
+        motion, told = step.prev_T_cur, False
         length = float(np.linalg.norm(motion.mean.translation()))
-        if self.settings.lengths == "chained" and scale_variance > 0:
-            for key in self._scales.extend(previous, index, scale, scale_variance):
+        if self.settings.lengths == "chained" and step.scale_variance > 0:
+            for key in self._scales.extend(step.previous, index, step.scale, step.scale_variance):
                 self._seen[key] = self._stamps[index]
-            motion = motion.with_scale_variance(-scale_variance)
-            told = self._scales.measure(previous, index, motion, self._poses[previous])
-            self.add(motion_factor(previous, index, motion, self.settings, length=not told))
-            return
-        if self.settings.odometry == "essential" and length > SHORT:
+            motion = motion.with_scale_variance(-step.scale_variance)
+            told = self._scales.measure(step.previous, index, motion, self._poses[step.previous])
+        elif self.settings.odometry == "essential" and length > SHORT:
             travel = motion.mean.rotation().unrotate(motion.mean.translation() / length)
             sigma = math.sqrt(float(travel @ motion.covariance[3:, 3:] @ travel))
-            self.add(length_factor(previous, index, length, sigma))
-        self.add(motion_factor(previous, index, motion, self.settings))
+            self.add(length_factor(step.previous, index, length, sigma))
+        if self.settings.odometry == "between" and self._has(CALIBRATION) and step.by_calibration.any():
+            step, calibration = replace(step, prev_T_cur=motion), self._landmark_factors.calibration
+            self.add(calibrated_motion_factor(index, step, self.settings, calibration, length=not told))
+        else:
+            self.add(motion_factor(step.previous, index, motion, self.settings, length=not told))
 
     def _see(self, index: int, views: Views) -> None:
         """Landmarks of the graph are seen again; others enter once they are known well enough."""

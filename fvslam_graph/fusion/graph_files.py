@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.files import replacing, write_file
-from fvslam_graph.fusion.calibration import CALIBRATION
+from fvslam_graph.fusion.calibration import CALIBRATION, FIXED
 from fvslam_graph.fusion.factors import is_landmark, is_pose, length_factor, pose_key
 
 G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
@@ -24,9 +24,9 @@ Lengths = Mapping[tuple[int, int], tuple[float, float]]
 def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gtsam.Values, lengths: Lengths) -> None:
     """Write poses and motions as g2o, which knows no pixels; landmarks as PLY; all of it as GTSAM does.
 
-    `graph.gtsam` and `values.gtsam` hold poses, landmarks and the camera; read back, they have the same optimum. The
-    scale is given there as the graph has found it, since GTSAM has no serialisation of linear factors. Nor has it one
-    of EssentialMatrixConstraint: a graph with such factors has no `graph.gtsam`.
+    `graph.gtsam` and `values.gtsam` hold poses, landmarks and the camera; read back, they have the same optimum. Scale
+    and calibration are held there as the graph has found them, since GTSAM has no serialisation of linear factors, nor
+    of our own. Nor has it one of EssentialMatrixConstraint: a graph with such factors has no `graph.gtsam`.
 
     Args:
         folder: Exists.
@@ -51,9 +51,14 @@ def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gts
         factor = factors.at(slot)
         if factor is None or not all(values.exists(key) for key in factor.keys()):  # noqa: SIM118
             continue
+        if isinstance(factor, gtsam.CustomFactor):
+            factor = _calibrated(factor, estimate)
         whole.add(factor)
         if isinstance(factor, gtsam.BetweenFactorPose3):
             motions.add(_plain(factor, lengths))
+    if values.exists(CALIBRATION):
+        exact = gtsam.noiseModel.Isotropic.Sigma(3, FIXED)
+        whole.add(gtsam.PriorFactorCal3Bundler(CALIBRATION, values.atCal3Bundler(CALIBRATION), exact))
     for (first, second), (metres, sigma) in lengths.items():
         if values.exists(pose_key(first)):
             whole.add(length_factor(first, second, metres, sigma))
@@ -66,6 +71,14 @@ def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gts
         write_file(folder / FACTORS, whole.serialize())
     write_file(folder / VALUES, values.serialize())
     write_file(folder / LANDMARKS_PLY, _ply(np.array(points).reshape(-1, 3)))
+
+
+def _calibrated(factor: gtsam.CustomFactor, estimate: gtsam.Values) -> gtsam.BetweenFactorPose3:
+    """A motion that changes with the calibration, as it is with the one that was found."""
+    first, second, _ = factor.keys()
+    motion = estimate.atPose3(first).between(estimate.atPose3(second))
+    measured = motion.compose(gtsam.Pose3.Expmap(-factor.unwhitenedError(estimate)))
+    return gtsam.BetweenFactorPose3(first, second, measured, factor.noiseModel())
 
 
 def _plain(factor: gtsam.BetweenFactorPose3, lengths: Lengths) -> gtsam.BetweenFactorPose3:

@@ -11,22 +11,21 @@ from fvslam_graph.config import load_config
 from fvslam_graph.errors import EstimationError
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.sequences.base import MOST_DISTORTED, Sequence
-from fvslam_graph.vo.epipolar import epipolar_distance, rays
+from fvslam_graph.vo.epipolar import calibration_jacobian, epipolar_distance, rays
 from fvslam_graph.vo.odometry import VisualOdometry
 
 Array = NDArray[np.float64]
 
 LOSS_SCALE = 0.4  # pixels beyond which a point counts for less
-STEP = 1e-3  # of a derivative
 PASSES = 3
 
 
 class RadialDistortion:
     """One coefficient for all images, from many pairs of them.
 
-    The ray (x, y, 1) of a pixel is (x, y) / (1 + k1 (x^2 + y^2)) in truth, which is OpenCV's k1 as long as it is small.
-    It shows in the epipolar distances of two views, mostly where the camera turns. The Cauchy loss is minimised by one
-    step of Newton from zero, with the motion of each pair, which would take up a part of it, eliminated.
+    It is that of `calibration_jacobian`, and shows in the epipolar distances of two views, mostly where the camera
+    turns. The Cauchy loss is minimised by one step of Newton from zero, with the motion of each pair, which would take
+    up a part of it, eliminated.
 
     Args:
         camera: Of the images, without distortion as far as is known.
@@ -46,9 +45,7 @@ class RadialDistortion:
         reference, current = rays(self._camera, tracks.reference), rays(self._camera, tracks.current)
         rotation, direction = ref_T_cur.rotation(), ref_T_cur.translation() / np.linalg.norm(ref_T_cur.translation())
         distance, by_motion = epipolar_distance(reference, current, rotation, direction, self._camera.fx)
-        essential = gtsam.SO3.Hat(direction) @ rotation.matrix()
-        more, less = (_distance(reference, current, essential, k1) for k1 in (STEP, -STEP))
-        by_k1 = self._camera.fx * (more - less) / (2 * STEP)
+        by_k1 = calibration_jacobian(reference, current, rotation, direction, self._camera.fx)[:, 1]
         square = (distance / LOSS_SCALE) ** 2
         curvature = (1 - square) / (1 + square) ** 2
         weighted = curvature[:, None] * by_motion
@@ -66,21 +63,6 @@ class RadialDistortion:
         curvature, fall = np.array(self._pairs).T
         k1 = fall.sum() / curvature.sum()
         return float(k1), float(np.linalg.norm(fall - curvature * k1) / curvature.sum())
-
-
-def _distance(reference: Array, current: Array, essential: Array, k1: float) -> Array:
-    """Distances (N,) of rays (N, 3) from their epipolar lines, in the current image as it is, at unit focal length."""
-    pixels = current[:, :2]
-    straight = [
-        np.column_stack([seen[:, :2] / (1 + k1 * (seen[:, :2] ** 2).sum(axis=1, keepdims=True)), np.ones(len(seen))])
-        for seen in (reference, current)
-    ]
-    line = straight[0] @ essential
-    factor = 1 / (1 + k1 * (pixels**2).sum(axis=1, keepdims=True))
-    # The derivative of factor * pixels is factor - 2 k1 factor^2 pixels pixels^T.
-    across = (pixels * line[:, :2]).sum(axis=1, keepdims=True)
-    slope = factor * line[:, :2] - 2 * k1 * factor**2 * across * pixels
-    return np.asarray((straight[1] * line).sum(axis=1) / np.maximum(np.linalg.norm(slope, axis=1), 1e-9))
 
 
 def measure_distortion(sequence: Sequence) -> tuple[float, float]:

@@ -59,3 +59,41 @@ def epipolar_distance(
     jacobian[:, 3] = lines[:, 3] * x + lines[:, 4] * y + lines[:, 5]
     jacobian[:, 4] = lines[:, 6] * x + lines[:, 7] * y + lines[:, 8]
     return distance * length * weight, weight[:, None] * jacobian
+
+
+def calibration_jacobian(
+    previous: Rays,
+    current: Rays,
+    rotation: gtsam.Rot3,
+    direction: NDArray[np.float64],
+    focal: float,
+    covariances: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    """How the distances of `epipolar_distance` change with the calibration, (N, 2), pixels.
+
+    With the logarithm of the focal length, and with k1: the ray (x, y, 1) of a pixel is (x, y) / (1 + k1 (x^2 + y^2))
+    in truth, which is OpenCV's k1 as long as it is small. Distances stay those in the images as they are.
+
+    Args:
+        previous, current, rotation, direction, focal, covariances: As there.
+    """
+    distance, _ = epipolar_distance(previous, current, rotation, direction, focal, covariances)
+    essential: NDArray[np.float64] = gtsam.SO3.Hat(direction) @ rotation.matrix()
+    line = previous @ essential
+    length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)
+    normal = line[:, :2] / length[:, None]
+    foot = current[:, :2] - ((line * current).sum(axis=1) / length)[:, None] * normal
+    weight = focal / length
+    if covariances is not None:
+        weight = weight / np.sqrt((normal * (covariances @ normal[:, :, None])[:, :, 0]).sum(axis=1))
+    squares = [(seen[:, :2] ** 2).sum(axis=1) for seen in (previous, current)]
+    across = (normal * current[:, :2]).sum(axis=1)
+    columns = []
+    for bends, stretch in (((1.0, 1.0), 1.0), (squares, squares[1] + 2 * across**2)):
+        by_previous, by_current = (
+            -seen[:, :2] * np.reshape(bend, (-1, 1)) for seen, bend in zip((previous, current), bends, strict=True)
+        )
+        by_line = by_previous @ essential[:2]
+        moved = (by_line[:, :2] * foot).sum(axis=1) + by_line[:, 2] + (line[:, :2] * by_current).sum(axis=1)
+        columns.append(weight * moved + distance * stretch)
+    return np.column_stack(columns)

@@ -32,6 +32,7 @@ class VoEstimate:
         map: What is known of the depths of these tracks in this frame.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         awaited: Indices of references that were lost: a motion to come may start from one that is found again.
+        by_calibration: (6, 2) how the motion changes with the logarithm of the focal length and with k1.
         times: Milliseconds by stage.
     """
 
@@ -45,13 +46,22 @@ class VoEstimate:
     map: MetricMap = field(default_factory=MetricMap.empty)
     parallax: float = math.nan
     awaited: tuple[int, ...] = ()
+    by_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
     times: dict[str, float] = field(default_factory=dict)
 
     @property
     def step(self) -> OdometryStep:
         """The motion, for fusion."""
         measured = self.status in (Status.TRACKED, Status.STATIC)
-        return OdometryStep(self.previous, self.prev_T_cur, self.scale, self.map.variance, self.awaited, measured)
+        return OdometryStep(
+            self.previous,
+            self.prev_T_cur,
+            self.scale,
+            self.map.variance,
+            self.awaited,
+            measured,
+            self.by_calibration,
+        )
 
     @property
     def points(self) -> KnownPoints:
@@ -73,14 +83,20 @@ def metric_pose(two_view: TwoView, scale: LogScale) -> GaussianPose:
 
     Its covariance holds what two views tell, and the scale along the baseline.
     """
-    cur_R_prev = two_view.rotation.matrix().T
-    jacobian = np.zeros((6, 6))
-    jacobian[:3, :3] = np.eye(3)
-    jacobian[3:, 3:5] = scale.metres * cur_R_prev @ gtsam.Unit3(two_view.direction).basis()
-    jacobian[3:, 5] = scale.metres * cur_R_prev @ two_view.direction
+    jacobian = metric_jacobian(two_view, scale)
     measured = np.zeros((6, 6))
     measured[:5, :5] = two_view.covariance
     measured[5, 5] = scale.variance
     covariance: NDArray[np.float64] = jacobian @ measured @ jacobian.T
     prev_T_cur = gtsam.Pose3(two_view.rotation, scale.metres * two_view.direction)
     return GaussianPose(prev_T_cur, (covariance + covariance.T) / 2)
+
+
+def metric_jacobian(two_view: TwoView, scale: LogScale) -> NDArray[np.float64]:
+    """How the pose changes with what two views tell, and with the logarithm of the scale, (6, 6)."""
+    cur_R_prev = two_view.rotation.matrix().T
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, :3] = np.eye(3)
+    jacobian[3:, 3:5] = scale.metres * cur_R_prev @ gtsam.Unit3(two_view.direction).basis()
+    jacobian[3:, 5] = scale.metres * cur_R_prev @ two_view.direction
+    return jacobian

@@ -57,11 +57,13 @@ class Located:
         pose: ref_T_cur and its covariance.
         agree: (N,) which tracks agree.
         noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
+        by_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
     """
 
     pose: GaussianPose
     agree: NDArray[np.bool_]
     noise: float
+    by_calibration: Array
 
     @property
     def direction_covariance(self) -> Array:
@@ -110,4 +112,10 @@ def refine(
         neighbourhoods(tracks.reference[agree], camera),
         errors.by_shared[agree],
     )
-    return None if covariance is None else Located(GaussianPose(ref_T_cur, covariance), agree, noise)
+    if covariance is None:
+        return None
+    jacobian = errors.by_pose[agree].reshape(-1, 6)
+    weighted = jacobian / np.repeat(1 + errors.squares[agree] / KERNEL**2, 2)[:, None]
+    pull = weighted.T @ errors.by_calibration[agree].reshape(-1, 2)
+    by_calibration: Array = -np.linalg.inv(weighted.T @ jacobian) @ pull
+    return Located(GaussianPose(ref_T_cur, covariance), agree, noise, by_calibration)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -24,7 +24,7 @@ from fvslam_graph.stopwatch import Stopwatch
 from fvslam_graph.trajectory import Status
 from fvslam_graph.vo.depth import InverseDepths, triangulate, typical_depth
 from fvslam_graph.vo.epipolar import rays
-from fvslam_graph.vo.estimate import VoEstimate, metric_pose
+from fvslam_graph.vo.estimate import VoEstimate, metric_jacobian, metric_pose
 from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.lost_references import LostReference, LostReferences
@@ -51,6 +51,7 @@ class _Motion:
         map: Of the reference, with what was learnt.
         scale: Of the baseline, where it was estimated.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
+        by_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
     """
 
     ref_T_cur: GaussianPose
@@ -58,6 +59,7 @@ class _Motion:
     map: MetricMap
     scale: ScaleStep | None = None
     parallax: float = math.nan
+    by_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
 
 
 class VisualOdometry:
@@ -255,7 +257,8 @@ class VisualOdometry:
                 fallback,
                 self._rng,
             )
-        return _Motion(metric_pose(two_view, scale.length), tracks, known, scale)
+        by_calibration = metric_jacobian(two_view, scale.length)[:, :5] @ two_view.by_calibration
+        return _Motion(metric_pose(two_view, scale.length), tracks, known, scale, by_calibration=by_calibration)
 
     def _locate(self, tracks: Tracks, known: MetricMap) -> gtsam.Pose3 | None:
         """Roughly where the camera is among the points of known depth."""
@@ -283,7 +286,8 @@ class VisualOdometry:
             found = self._triangulated(new, refined.pose.mean, refined.noise, refined.direction_covariance)
             known = MetricMap(known.depths.fused(found[found.values > 0]), known.variance)
         # The map's scale is uncertain, and the distance travelled in it likewise.
-        return _Motion(refined.pose.with_scale_variance(known.variance), tracks, known)
+        pose = refined.pose.with_scale_variance(known.variance)
+        return _Motion(pose, tracks, known, by_calibration=refined.by_calibration)
 
     def _triangulated(
         self, tracks: Tracks, ref_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
@@ -315,7 +319,9 @@ class VisualOdometry:
         seen = rays(self.camera, motion.tracks.reference[theirs])
         depths = motion.map.depths[mine].moved(seen, motion.ref_T_cur.mean)
         here = MetricMap(depths, motion.map.variance)
-        return replace(estimate, tracks=motion.tracks, scale=motion.scale, map=here)
+        return replace(
+            estimate, tracks=motion.tracks, scale=motion.scale, map=here, by_calibration=motion.by_calibration
+        )
 
     def _lose(self, frame: Frame) -> VoEstimate:
         """The image does not fit the reference: a bad image is passed over, a changed scene becomes the reference."""

@@ -26,6 +26,7 @@ class ReprojectionErrors:
     Attributes:
         values: (N, 2).
         by_pose: (N, 2, 6) in the tangent of ref_T_cur.
+        by_calibration: (N, 2, 2) with the logarithm of the focal length, and with k1, as in `calibration_jacobian`.
         by_shared: (N, 2, S) what each of the errors that depths share adds to them.
         sharp: (N,) whether the texture tells much across the line.
         ahead: (N,) whether the point is seen before the camera, apart from noise.
@@ -33,6 +34,7 @@ class ReprojectionErrors:
 
     values: Array
     by_pose: Array
+    by_calibration: Array
     by_shared: Array
     sharp: NDArray[np.bool_]
     ahead: NDArray[np.bool_]
@@ -76,19 +78,19 @@ def reprojection_errors(
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     turned, step = rays @ R, t @ R
 
-    def project(values: Array) -> tuple[Array, Array, Array, Array]:
-        """Normalised coordinates, nearness, error in the image and its derivative along the line."""
+    def project(values: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Normalised coordinates, depth and nearness, error in the image and its derivative along the line."""
         seen = turned - values[:, None] * step
         z = np.maximum(seen[:, 2], NEAREST)
         xy = seen[:, :2] / z[:, None]
-        return xy, values / z, focal * xy + centre - tracks.current, focal * (xy * step[2] - step[:2]) / z[:, None]
+        return xy, z, values / z, focal * xy + centre - tracks.current, focal * (xy * step[2] - step[:2]) / z[:, None]
 
     variance = depths.total_sigmas**2
-    _, _, error, line = project(depths.values)
+    _, _, _, error, line = project(depths.values)
     square = np.maximum((line**2).sum(axis=1), 1e-12)
     share = 1 / (1 + noise**2 / np.maximum(variance * square, 1e-300))  # of the way to where the image has the point
     likeliest = depths.values - share * (error * line).sum(axis=1) / square
-    xy, near, error, line = project(likeliest)
+    xy, depth, near, error, line = project(likeliest)
     error = error + line * (depths.values - likeliest)[:, None]
 
     x, y = xy.T
@@ -96,6 +98,15 @@ def reprojection_errors(
     by_pose = np.empty((len(x), 2, 6))  # a pose perturbed by (w, v) on the right sees the point at p + [p]x w - v
     by_pose[:, 0] = camera.fx * np.stack([x * y, -(1 + x * x), y, -near, zero, near * x], axis=1)
     by_pose[:, 1] = camera.fy * np.stack([1 + y * y, -x * y, -x, zero, -near, near * y], axis=1)
+
+    # Both rays of a track change by -(x, y) and -(x^2 + y^2) (x, y).
+    seen, there = rays[:, :2], (tracks.current - centre) / focal
+    by_calibration = np.empty((len(x), 2, 2))
+    for column, (first, second) in enumerate(
+        ((-seen, -there), (-(seen**2).sum(axis=1)[:, None] * seen, -(there**2).sum(axis=1)[:, None] * there))
+    ):
+        change = first @ R[:2]
+        by_calibration[:, :, column] = focal * ((change[:, :2] - xy * change[:, 2:]) / depth[:, None] - second)
 
     speed = np.linalg.norm(line, axis=1)
     along = np.where(speed[:, None] > 1e-6, line, [1.0, 0.0]) / np.where(speed > 1e-6, speed, 1.0)[:, None]
@@ -112,4 +123,4 @@ def reprojection_errors(
     by_shared[:, 1] = (speed / sigma)[:, None] * depths.shared
     values = (white @ error[:, :, None])[:, :, 0]
     ahead = likeliest * speed > -AGREES * noise
-    return ReprojectionErrors(values, white @ by_pose, by_shared, spread[:, 0, 0] < 2, ahead)
+    return ReprojectionErrors(values, white @ by_pose, white @ by_calibration, by_shared, spread[:, 0, 0] < 2, ahead)

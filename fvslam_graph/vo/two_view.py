@@ -15,7 +15,7 @@ from fvslam_graph.camera import Camera
 from fvslam_graph.config import VoSettings
 from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.vo.depth import InverseDepths, triangulate
-from fvslam_graph.vo.epipolar import Rays, epipolar_distance, rays
+from fvslam_graph.vo.epipolar import Rays, calibration_jacobian, epipolar_distance, rays
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 
 KERNEL = 2.0  # deviations beyond which a match counts for less (Cauchy)
@@ -44,6 +44,7 @@ class TwoView:
             direction in the plane of gtsam.Unit3.basis; radians.
         inliers: (N,) bool, which of the tracks agree.
         noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
+        by_calibration: (5, 2) how the pose changes with the logarithm of the focal length and with k1.
     """
 
     rotation: gtsam.Rot3
@@ -51,6 +52,7 @@ class TwoView:
     covariance: NDArray[np.float64]
     inliers: NDArray[np.bool_]
     noise: float
+    by_calibration: NDArray[np.float64]
 
 
 def estimate_two_view(
@@ -111,7 +113,10 @@ def estimate_two_view(
     covariance = m_estimator_covariance(distance, jacobian, KERNEL * best.noise, cells)
     if covariance is None:
         return None
-    return TwoView(best.rotation, best.direction, covariance, inliers, best.noise)
+    weighted = best.jacobian[told] / (1 + (best.distance[told, None] / (KERNEL * best.noise)) ** 2)
+    pull = weighted.T @ matches.by_calibration(best.rotation, best.direction)[told]
+    by_calibration = -np.linalg.inv(weighted.T @ best.jacobian[told]) @ pull
+    return TwoView(best.rotation, best.direction, covariance, inliers, best.noise, by_calibration)
 
 
 @dataclass(frozen=True)
@@ -129,6 +134,12 @@ class _Matches:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Distances of the current points from their epipolar lines, and their Jacobian."""
         return epipolar_distance(self.previous, self.current, rotation, direction, self.focal, self.tracks.covariances)
+
+    def by_calibration(self, rotation: gtsam.Rot3, direction: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How these distances change with the calibration."""
+        return calibration_jacobian(
+            self.previous, self.current, rotation, direction, self.focal, self.tracks.covariances
+        )
 
     @cached_property
     def _corners(self) -> NDArray[np.bool_]:

@@ -193,3 +193,10 @@ def slow_flight() -> Recording:
 def drive() -> Recording:
     """Two seconds on a road between facades."""
     return record("drive", frames=20, size="480x150")
+
+
+def recalibrated(camera: Camera, pixels: np.ndarray, focal: float, k1: float) -> np.ndarray:
+    """Pixels as the camera of the file would see what is in them with another focal length (logarithm) and k1."""
+    seen = camera.normalize(pixels) * np.exp(-focal)
+    seen = seen / (1 + k1 * (camera.normalize(pixels) ** 2).sum(axis=1, keepdims=True))
+    return camera.project(np.column_stack([seen, np.ones(len(seen))]))

@@ -27,7 +27,12 @@ class View(NamedTuple):
     def two_view(self) -> TwoView:
         baseline = self.motion.translation()
         return TwoView(
-            self.motion.rotation(), baseline / np.linalg.norm(baseline), 1e-10 * np.eye(5), np.ones(1, bool), 0.3
+            self.motion.rotation(),
+            baseline / np.linalg.norm(baseline),
+            1e-10 * np.eye(5),
+            np.ones(1, bool),
+            0.3,
+            np.zeros((5, 2)),
         )
 
     @property

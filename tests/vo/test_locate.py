@@ -8,10 +8,13 @@ import pytest
 
 from fvslam_graph.config import VoSettings
 from fvslam_graph.evaluation.nees import nees_band
+from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.vo.depth import SHARED, InverseDepths
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.reprojection import reprojection_errors
+
+from .conftest import recalibrated
 
 SETTINGS = VoSettings()
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.01, 0.03, -0.02])), np.array([0.05, 0.02, 0.1]))
@@ -162,3 +165,14 @@ def test_nothing_to_go_by(camera, two_views):
     same = np.zeros(40, int)
     again = scene._replace(tracks=scene.tracks[same], points=scene.points[same])
     assert refined(camera, again, depths_of(scene, 0.0)[same]) is None
+
+
+@pytest.mark.parametrize(("column", "change"), [(0, (1e-4, 0.0)), (1, (0.0, 1e-4))])
+def test_the_pose_changes_with_the_calibration_as_it_says(camera, two_views, column, change):
+    scene = two_views(MOTION, noise=0.1)
+    depths = depths_of(scene, 0.02)
+    tracks = scene.tracks
+    other = Tracks.alike(tracks.ids, *(recalibrated(camera, at, *change) for at in (tracks.reference, tracks.current)))
+    before, after = (refine(NEAR, rays(camera, seen.reference), seen, depths, camera) for seen in (tracks, other))
+    moved = before.pose.mean.localCoordinates(after.pose.mean) / max(change)
+    assert before.by_calibration[:, column] == pytest.approx(moved, rel=0.1, abs=0.03)

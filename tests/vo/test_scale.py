@@ -39,7 +39,8 @@ def world(camera, two_views):
     """Two views, their depths in baselines, and the true depths as a map with a scale variance."""
     scene = two_views(MOTION)
     tracks, length = scene.tracks, np.linalg.norm(MOTION.translation())
-    two_view = TwoView(MOTION.rotation(), MOTION.translation() / length, np.eye(5), np.ones(len(tracks), bool), 0.3)
+    inliers, direction = np.ones(len(tracks), bool), MOTION.translation() / length
+    two_view = TwoView(MOTION.rotation(), direction, np.eye(5), inliers, 0.3, np.zeros((5, 2)))
     ray = rays(camera, tracks.reference)
     unit = triangulate(tracks.ids, ray, rays(camera, tracks.current), MOTION.rotation(), two_view.direction, camera.fx)
     depths = 1 / scene.points[:, 2]

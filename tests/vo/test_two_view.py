@@ -14,6 +14,8 @@ from fvslam_graph.vo.depth import InverseDepths
 from fvslam_graph.vo.epipolar import epipolar_distance, rays
 from fvslam_graph.vo.two_view import estimate_two_view
 
+from .conftest import recalibrated
+
 SETTINGS = VoSettings()
 FORWARD = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.01, 0.03, -0.02])), np.array([0.2, 0.05, 1.0]))
 SIDEWAYS = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.01, 0.1])), np.array([1.0, 0.1, 0.1]))
@@ -174,3 +176,13 @@ def test_nothing_to_go_by(camera, two_views):
     rng = np.random.default_rng(0)
     anywhere = Tracks.alike(np.arange(40), rng.uniform(0, 480, (40, 2)), rng.uniform(0, 480, (40, 2)))
     assert estimate_two_view(anywhere, camera, SETTINGS, 0) is None
+
+
+@pytest.mark.parametrize(("column", "change"), [(0, (1e-4, 0.0)), (1, (0.0, 1e-4))])
+def test_the_pose_changes_with_the_calibration_as_it_says(camera, two_views, column, change):
+    tracks = two_views(FORWARD, noise=0.1).tracks
+    other = Tracks.alike(tracks.ids, *(recalibrated(camera, at, *change) for at in (tracks.reference, tracks.current)))
+    before, after = (estimate_two_view(seen, camera, SETTINGS, 0) for seen in (tracks, other))
+    first, second = (gtsam.EssentialMatrix(view.rotation, gtsam.Unit3(view.direction)) for view in (before, after))
+    moved = first.localCoordinates(second) / max(change)
+    assert before.by_calibration[:, column] == pytest.approx(moved, rel=0.1, abs=0.02)  # measured within 0.001
