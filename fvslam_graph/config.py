@@ -145,7 +145,7 @@ class GraphSettings(_Group):
     online: Literal["steady", "pose"] = "steady"
     pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark along each axis, until its noise was measured
     # What all landmarks of an image err alike, in deviations of one of them: their number does not average that out.
-    shared_noise: float = Field(0.5, ge=0)
+    shared_noise: float = Field(1.0, ge=0)
     # How well the calibration is known that the images come with, as a rule: it is estimated with all else.
     focal_sigma: float = Field(0.001, ge=0)  # share of the focal length
     distortion_sigma: float = Field(0.001, ge=0)  # radial, k1

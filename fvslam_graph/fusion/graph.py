@@ -186,14 +186,16 @@ class Graph:
     def _take_motions(self, views: Views | None) -> None:
         """Append what odometry says since the last fusion.
 
-        Where landmarks contradict it, what a constant velocity makes of where they have the camera stands in its place,
-        as uncertain as the two differ.
+        Where landmarks contradict it, where they have the camera stands in its place. In between, velocity is taken to
+        be constant, which is as uncertain as the two differ.
         """
         newest = len(self._poses) - 1
         if views and self._views and newest in self._moves and (seen := self._contradiction(newest, views)):
-            doubt = np.diag(gtsam.Pose3.Logmap(self._poses[newest].between(seen)) ** 2)
+            doubt = np.diag(gtsam.Pose3.Logmap(self._poses[newest].between(seen.mean)) ** 2)
             start, begin = self._poses[self._fused], self._stamps[self._fused]
-            velocity = gtsam.Pose3.Logmap(start.between(seen)) / (self._stamps[newest] - begin)
+            whole = GaussianPose(_between(start, seen.mean), seen.covariance)
+            self.add(motion_factor(self._fused, newest, whole, self.settings))
+            velocity = gtsam.Pose3.Logmap(whole.mean) / (self._stamps[newest] - begin)
             for index in self._moves:
                 self._poses[index] = start.compose(gtsam.Pose3.Expmap(velocity * (self._stamps[index] - begin)))
             for index, step in self._moves.items():
@@ -204,7 +206,7 @@ class Graph:
             self._values.insert(pose_key(index), self._linearised(step.previous).compose(step.prev_T_cur.mean))
         self._moves = {}
 
-    def _contradiction(self, index: int, views: Views) -> gtsam.Pose3 | None:
+    def _contradiction(self, index: int, views: Views) -> GaussianPose | None:
         """Where landmarks have the camera, if motions that were not taken in yet do not lead there.
 
         They are where visual SLAM had them at the last fusion: what is wrong since has not come to its map.
@@ -218,8 +220,10 @@ class Graph:
         expected = GaussianPose(self._poses[index], motion.whole.covariance)
         _, before, now = np.intersect1d(self._views.ids, views.ids, return_indices=True)
         points = self._poses[self._fused].transformFrom(self._views.points[before].T).T
-        deviation = self._landmark_factors.deviation(self._noise.sigma, len(views.ids))
-        return contradiction(expected, points, views.pixels[now], self._camera, deviation, index)
+        deviation, sigma = self._landmark_factors.deviation, self._noise.sigma
+        seen = contradiction(expected, points, views.pixels[now], self._camera, deviation(sigma, 1), index)
+        shared = (deviation(sigma, len(views.ids)) / deviation(sigma, 1)) ** 2  # no number of them averages it out
+        return None if seen is None else GaussianPose(seen.mean, shared * seen.covariance)
 
     def _move(self, index: int, step: OdometryStep) -> None:
         """The factors of a motion of odometry."""

@@ -15,13 +15,15 @@ Array = NDArray[np.float64]
 GATE = 13.816  # 99.9 % quantile of the chi-square distribution with two degrees of freedom
 MIN_LANDMARKS = 12  # that agree on where the camera is,
 MIN_SHARE = 0.5  # and of those that are seen
+MAX_CONDITION = 1e14
+NEAREST = 0.05  # metres in front of a camera
 WIDTH = 5.0  # standard deviations of a pixel, within which a landmark agrees
 
 
 def contradiction(
     expected: GaussianPose, points: Array, pixels: Array, camera: Camera, sigma: float, seed: int
-) -> gtsam.Pose3 | None:
-    """Where landmarks have the camera, if that is elsewhere than odometry allows; else None.
+) -> GaussianPose | None:
+    """Where landmarks have the camera, as if they were in their places; None where odometry allows for that.
 
     Odometry is contradicted where most landmarks are seen far from where it expects them, and yet agree with each other
     on another pose.
@@ -36,23 +38,31 @@ def contradiction(
     """
     known = np.isfinite(points).all(axis=1)
     points, pixels = points[known], pixels[known]
-    if len(points) < MIN_LANDMARKS or float(np.median(_innovations(expected, points, pixels, camera, sigma))) < GATE:
+    if len(points) < MIN_LANDMARKS:
+        return None
+    innovation, by_pose = _innovations(expected.mean, points, pixels, camera)
+    spread = by_pose @ expected.covariance @ by_pose.mT + (WIDTH * sigma) ** 2 * np.eye(2)
+    distances = (innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]).sum(axis=1)
+    if float(np.median(distances)) < GATE:
         return None
     square = camera.fx * camera.normalize(pixels)
     model = {"model": "SIMPLE_PINHOLE", "width": camera.width, "height": camera.height, "params": [camera.fx, 0, 0]}
     ransac = {"max_reproj_error": WIDTH * sigma, "seed": seed}
     found, info = poselib.estimate_absolute_pose(square, points, model, ransac, {})
-    if sum(info["inliers"]) < max(MIN_LANDMARKS, MIN_SHARE * len(points)):
+    agree = np.array(info["inliers"], bool)
+    if agree.sum() < max(MIN_LANDMARKS, MIN_SHARE * len(points)):
         return None
-    return gtsam.Pose3(gtsam.Rot3(found.R), found.t).inverse()
+    pose = gtsam.Pose3(gtsam.Rot3(found.R), found.t).inverse()
+    _, by_pose = _innovations(pose, points[agree], pixels[agree], camera)
+    information = (by_pose.mT @ by_pose).sum(axis=0) / sigma**2
+    return GaussianPose(pose, np.linalg.inv(information)) if np.linalg.cond(information) < MAX_CONDITION else None
 
 
-def _innovations(expected: GaussianPose, points: Array, pixels: Array, camera: Camera, sigma: float) -> Array:
-    """Squared Mahalanobis distances (N,) of pixels from where a pose expects them; infinite behind the camera."""
-    x, y, z = (points - expected.mean.translation()).dot(expected.mean.rotation().matrix()).T
-    ahead = z > 0
-    x, y, near = x[ahead] / z[ahead], y[ahead] / z[ahead], 1 / z[ahead]
-    zero = np.zeros_like(x)
+def _innovations(pose: gtsam.Pose3, points: Array, pixels: Array, camera: Camera) -> tuple[Array, Array]:
+    """How far pixels are from where a camera would see points, (N, 2), and the derivative of that place, (N, 2, 6)."""
+    x, y, z = ((points - pose.translation()) @ pose.rotation().matrix()).T
+    near = 1 / np.maximum(z, NEAREST)  # what is behind the camera is far from where it is seen
+    x, y, zero = x * near, y * near, np.zeros_like(z)
     # A pose perturbed by (w, v) on the right sees the point at p + [p]x w - v.
     by_pose = camera.fx * np.stack(
         [
@@ -61,8 +71,4 @@ def _innovations(expected: GaussianPose, points: Array, pixels: Array, camera: C
         ],
         axis=1,
     )
-    innovation = camera.fx * (camera.normalize(pixels[ahead]) - np.column_stack([x, y]))
-    spread = by_pose @ expected.covariance @ by_pose.mT + (WIDTH * sigma) ** 2 * np.eye(2)
-    distances = np.full(len(points), np.inf)
-    distances[ahead] = (innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]).sum(axis=1)
-    return distances
+    return camera.fx * (camera.normalize(pixels) - np.column_stack([x, y])), by_pose

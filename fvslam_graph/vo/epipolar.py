@@ -77,15 +77,16 @@ def calibration_jacobian(
     Args:
         previous, current, rotation, direction, focal, covariances: As there.
     """
-    distance, _ = epipolar_distance(previous, current, rotation, direction, focal, covariances)
     essential: NDArray[np.float64] = gtsam.SO3.Hat(direction) @ rotation.matrix()
     line = previous @ essential
     length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)
     normal = line[:, :2] / length[:, None]
-    foot = current[:, :2] - ((line * current).sum(axis=1) / length)[:, None] * normal
+    off = (line * current).sum(axis=1)
+    foot = current[:, :2] - (off / length)[:, None] * normal
     weight = focal / length
     if covariances is not None:
         weight = weight / np.sqrt((normal * (covariances @ normal[:, :, None])[:, :, 0]).sum(axis=1))
+    distance = off * weight
     squares = [(seen[:, :2] ** 2).sum(axis=1) for seen in (previous, current)]
     across = (normal * current[:, :2]).sum(axis=1)
     columns = []

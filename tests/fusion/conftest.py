@@ -89,6 +89,9 @@ def fed() -> Callable[..., Fed]:
                     anywhere = rng.random(len(rows)) < (wrong if wrong_pixels is None else wrong_pixels)
                     pixels[anywhere] += rng.uniform(-60, 60, (anywhere.sum(), 2))
                     points = scene.in_camera(index)[followed]
+                    if camera is not None:  # by which visual SLAM has them where they are seen
+                        seen_at = camera.normalize(scene.camera.project(points))
+                        points = points[:, 2:] * np.column_stack([seen_at, np.ones(len(points))])
                     names = followed if recognised or index < dark.start else followed + len(scene.landmarks)
                     views = Views(names, pixels, points, np.tile(0.05**2 * np.eye(3), (len(rows), 1, 1)))
                 made.motions.append((last, index, made.graph.fuse(views)))
