@@ -112,7 +112,7 @@ class Graph:
     def fuse(self, views: Views | None) -> GaussianPose | None:
         """Take in what the newest frame shows of landmarks, and solve.
 
-        Motions that contradict where landmarks have the camera count for as little as that takes.
+        Motions that landmarks contradict are replaced by what these say.
 
         Returns:
             The motion since the last call (since the first frame, at the first one), with its marginal covariance; None
@@ -190,7 +190,8 @@ class Graph:
         be constant, which is as uncertain as the two differ.
         """
         newest = len(self._poses) - 1
-        if views and self._views and newest in self._moves and (seen := self._contradiction(newest, views)):
+        recent = newest in self._moves and self._has(pose_key(self._fused))  # not beyond the lag
+        if recent and (seen := self._contradiction(newest, views)):
             doubt = np.diag(gtsam.Pose3.Logmap(self._poses[newest].between(seen.mean)) ** 2)
             start, begin = self._poses[self._fused], self._stamps[self._fused]
             whole = GaussianPose(_between(start, seen.mean), seen.covariance)
@@ -206,12 +207,13 @@ class Graph:
             self._values.insert(pose_key(index), self._linearised(step.previous).compose(step.prev_T_cur.mean))
         self._moves = {}
 
-    def _contradiction(self, index: int, views: Views) -> GaussianPose | None:
+    def _contradiction(self, index: int, views: Views | None) -> GaussianPose | None:
         """Where landmarks have the camera, if motions that were not taken in yet do not lead there.
 
         They are where visual SLAM had them at the last fusion: what is wrong since has not come to its map.
         """
-        assert self._views is not None
+        if views is None or self._views is None:
+            return None
         step = self._moves[index]
         motion = ScaledPose.of(step.prev_T_cur, step.scale_variance)
         while step.previous in self._moves:

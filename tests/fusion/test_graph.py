@@ -76,6 +76,13 @@ def test_a_fifth_of_gross_outliers(error_fed, shared):
     assert np.sum(wrong > 4 * clean) <= 1  # measured none in 20
 
 
+def test_gross_outliers_within_a_lag(fed):
+    """Also one that is shorter than the time between fusions."""
+    for lag in (0.1, 1.0):
+        made = fed(frames=31, seed=1, wrong=0.2, lag=lag)
+        assert len(made.graph.smoothed()) == 31 and np.isfinite(made.error())
+
+
 def test_darkness(fed):
     """Without landmarks and with odometry that only guesses, the covariance grows; then it is found again."""
     made = fed(frames=61, seed=2, dark=range(21, 41))
