@@ -18,6 +18,9 @@ from fvslam_graph.fusion.calibration import CALIBRATION, SelfCalibration
 Array = NDArray[np.float64]
 
 LEAST_VARIANCE = 1e-10  # rad^2 and m^2: no factor is exact, and what is known of a whole path is of the order of 1
+TIGHT = (
+    1e-3  # share of its covariance that a motion gets for being told in two steps: what is exact, solvers do not like
+)
 SHORT = 1e-3  # metres; shorter motions have no direction that could be told, nor a length along it
 
 _KERNELS: dict[str, Callable[[float], gtsam.noiseModel.mEstimator.Base]] = {
@@ -30,6 +33,16 @@ _KERNELS: dict[str, Callable[[float], gtsam.noiseModel.mEstimator.Base]] = {
 def pose_key(frame: int) -> int:
     """Of the camera's pose world_T_camera at a frame."""
     return int(gtsam.symbol("x", frame))
+
+
+def filed_key(frame: int) -> int:
+    """Of where the motion to a frame would have led if the calibration were that of the file."""
+    return int(gtsam.symbol("y", frame))
+
+
+def is_filed(key: int) -> bool:
+    """Whether a variable is such a pose."""
+    return bool(gtsam.Symbol(key).chr() == ord("y"))
 
 
 def is_pose(key: int) -> bool:
@@ -117,23 +130,43 @@ def length_factor(previous: int, index: int, metres: float, sigma: float) -> gts
     return gtsam.RangeFactorPose3(pose_key(previous), pose_key(index), metres, noise)
 
 
-def calibrated_motion_factor(
-    index: int, step: OdometryStep, settings: GraphSettings, calibration: SelfCalibration, length: bool = True
-) -> gtsam.NonlinearFactor:
-    """As `motion_factor`, `between`, with a mean that changes with the calibration as odometry says."""
-    first, second, measured = pose_key(step.previous), pose_key(index), step.prev_T_cur.mean
-    by_variable = -step.by_calibration @ calibration.jacobian()
+def calibrated_motion_factors(
+    index: int,
+    step: OdometryStep,
+    settings: GraphSettings,
+    calibration: SelfCalibration,
+    start: gtsam.Pose3,
+    length: bool = True,
+) -> list[gtsam.NonlinearFactor]:
+    """As `motion_factor`, `between`, with a mean that changes with the calibration as odometry says.
 
-    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        motion = values.atPose3(first).between(values.atPose3(second))
-        off: Array = measured.localCoordinates(motion)
-        if jacobians is not None:
-            by_motion = gtsam.Pose3.LogmapDerivative(off)
-            jacobians[0], jacobians[1] = -by_motion @ motion.inverse().AdjointMap(), by_motion
-            jacobians[2] = by_variable
-        return off - step.by_calibration @ calibration.step(values.atCal3Bundler(CALIBRATION))
+    With a factor of our own in Python, GTSAM would copy all variables each time that it is linearised. So a motion
+    leads to where the camera would be by the calibration of the file (`filed_key`), and from there it is a linear step.
 
-    return gtsam.CustomFactor(motion_noise(step.prev_T_cur, settings, length), [first, second, CALIBRATION], error)
+    Args:
+        index: The frame.
+        step: The motion that leads there.
+        settings: Kernel, deflation.
+        calibration: The variable.
+        start: Where both poses are linearised first.
+        length: Whether it tells how long the motion is.
+    """
+    filed, measured = filed_key(index), step.prev_T_cur.mean
+    noise = motion_noise(step.prev_T_cur, settings, length)
+    values = gtsam.Values()
+    values.insert(filed, start)
+    values.insert(pose_key(index), start)
+    values.insert(CALIBRATION, calibration.start)
+    by_calibration = step.by_calibration @ calibration.jacobian()
+    tight = np.linalg.inv(np.linalg.cholesky(TIGHT * _counted(step.prev_T_cur, settings)))
+    unit = gtsam.noiseModel.Unit.Create(6)
+    linear = gtsam.JacobianFactor(
+        filed, tight, pose_key(index), -tight, CALIBRATION, tight @ by_calibration, np.zeros(6), unit
+    )
+    return [
+        gtsam.BetweenFactorPose3(pose_key(step.previous), filed, measured, noise),
+        gtsam.LinearContainerFactor(linear, values),
+    ]
 
 
 class LandmarkFactors:

@@ -22,7 +22,8 @@ from fvslam_graph.fusion.calibration import (
 from fvslam_graph.fusion.factors import (
     SHORT,
     LandmarkFactors,
-    calibrated_motion_factor,
+    calibrated_motion_factors,
+    filed_key,
     height_factor,
     is_pose,
     landmark_key,
@@ -203,8 +204,8 @@ class Graph:
                 motion = GaussianPose(_between(self._poses[step.previous], self._poses[index]), doubt)
                 self._moves[index] = OdometryStep(step.previous, motion)
         for index, step in self._moves.items():
-            self._move(index, step)
             self._values.insert(pose_key(index), self._linearised(step.previous).compose(step.prev_T_cur.mean))
+            self._move(index, step)
         self._moves = {}
 
     def _contradiction(self, index: int, views: Views | None) -> GaussianPose | None:
@@ -241,8 +242,12 @@ class Graph:
             sigma = math.sqrt(float(travel @ motion.covariance[3:, 3:] @ travel))
             self.add(length_factor(step.previous, index, length, sigma))
         if self.settings.odometry == "between" and self._has(CALIBRATION) and step.by_calibration.any():
-            step, calibration = replace(step, prev_T_cur=motion), self._landmark_factors.calibration
-            self.add(calibrated_motion_factor(index, step, self.settings, calibration, length=not told))
+            step, start = replace(step, prev_T_cur=motion), self._linearised(index)
+            calibration = self._landmark_factors.calibration
+            for factor in calibrated_motion_factors(index, step, self.settings, calibration, start, length=not told):
+                self.add(factor)
+            self._values.insert(filed_key(index), start)
+            self._seen[filed_key(index)] = self._stamps[index]
         else:
             self.add(motion_factor(step.previous, index, motion, self.settings, length=not told))
 

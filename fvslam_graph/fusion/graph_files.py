@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.files import replacing, write_file
 from fvslam_graph.fusion.calibration import CALIBRATION, FIXED
-from fvslam_graph.fusion.factors import is_landmark, is_pose, length_factor, pose_key
+from fvslam_graph.fusion.factors import is_filed, is_landmark, is_pose, length_factor, pose_key
 
 G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
 
@@ -49,10 +49,10 @@ def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gts
     whole, motions = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
     for slot in range(factors.size()):
         factor = factors.at(slot)
+        if isinstance(factor, gtsam.BetweenFactorPose3) and is_filed(factor.keys()[1]):
+            factor = _calibrated(factor, estimate)
         if factor is None or not all(values.exists(key) for key in factor.keys()):  # noqa: SIM118
             continue
-        if isinstance(factor, gtsam.CustomFactor):
-            factor = _calibrated(factor, estimate)
         whole.add(factor)
         if isinstance(factor, gtsam.BetweenFactorPose3):
             motions.add(_plain(factor, lengths))
@@ -73,12 +73,13 @@ def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gts
     write_file(folder / LANDMARKS_PLY, _ply(np.array(points).reshape(-1, 3)))
 
 
-def _calibrated(factor: gtsam.CustomFactor, estimate: gtsam.Values) -> gtsam.BetweenFactorPose3:
-    """A motion that changes with the calibration, as it is with the one that was found."""
-    first, second, _ = factor.keys()
-    motion = estimate.atPose3(first).between(estimate.atPose3(second))
-    measured = motion.compose(gtsam.Pose3.Expmap(-factor.unwhitenedError(estimate)))
-    return gtsam.BetweenFactorPose3(first, second, measured, factor.noiseModel())
+def _calibrated(factor: gtsam.BetweenFactorPose3, estimate: gtsam.Values) -> gtsam.BetweenFactorPose3:
+    """A motion to where the camera would be by the calibration of the file, as it is with the one that was found."""
+    first, filed = factor.keys()
+    second = pose_key(gtsam.Symbol(filed).index())
+    start, motion = estimate.atPose3(first), estimate.atPose3(first).between(estimate.atPose3(second))
+    error = factor.measured().localCoordinates(start.between(estimate.atPose3(filed)))
+    return gtsam.BetweenFactorPose3(first, second, motion.compose(gtsam.Pose3.Expmap(-error)), factor.noiseModel())
 
 
 def _plain(factor: gtsam.BetweenFactorPose3, lengths: Lengths) -> gtsam.BetweenFactorPose3:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fvslam_graph.config import GraphSettings
 from fvslam_graph.errors import EstimationError
 from fvslam_graph.fusion.calibration import CALIBRATION, is_camera
-from fvslam_graph.fusion.factors import is_landmark, is_pose
+from fvslam_graph.fusion.factors import is_filed, is_landmark, is_pose
 from fvslam_graph.fusion.sightings import Sightings, astray
 
 _log = logging.getLogger(__name__)
@@ -158,7 +158,8 @@ class Solver:
     def _empty(self) -> gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother:
         parameters = gtsam.ISAM2Params()
         thresholds = gtsam.ISAM2ThresholdMap()
-        thresholds.insert(("x", np.repeat([TURNED, self._settings.relinearise], 3)))
+        for pose in ("x", "y"):
+            thresholds.insert((pose, np.repeat([TURNED, self._settings.relinearise], 3)))
         thresholds.insert(("c", np.array([RECALIBRATED * 1e3, RECALIBRATED, RECALIBRATED])))
         thresholds.insert(("l", np.full(3, self._settings.relinearise)))
         for linear in ("s", "b"):  # what depends on scales is linear
@@ -303,7 +304,7 @@ class Solver:
 
 def _prior(key: int, values: gtsam.Values, sigma: float) -> gtsam.NonlinearFactor:
     """That a variable is where it is."""
-    if is_pose(key):
+    if is_pose(key) or is_filed(key):
         return gtsam.PriorFactorPose3(key, values.atPose3(key), gtsam.noiseModel.Isotropic.Sigma(6, sigma))
     if key == CALIBRATION:
         return gtsam.PriorFactorCal3Bundler(key, values.atCal3Bundler(key), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
