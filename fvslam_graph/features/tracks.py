@@ -44,6 +44,15 @@ class Tracks:
         return cls(ids, reference, current, np.tile(np.eye(2), (len(ids), 1, 1)))
 
 
+def variances_along(axes: NDArray[np.float64], covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Variances (N,) along axes (N, 2), times their squared lengths, of covariances (N, 2, 2)."""
+    x, y = axes.T
+    variances: NDArray[np.float64] = (
+        covariances[:, 0, 0] * x * x + 2 * covariances[:, 0, 1] * x * y + covariances[:, 1, 1] * y * y
+    )
+    return variances
+
+
 class Association(Protocol):
     """Finds the points of a reference image again in later images."""
 

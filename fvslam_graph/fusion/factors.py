@@ -36,7 +36,7 @@ def pose_key(frame: int) -> int:
 
 
 def filed_key(frame: int) -> int:
-    """Of where the motion to a frame would have led if the calibration were that of the file."""
+    """The key of where the motion to a frame would have led by the calibration of the file."""
     return int(gtsam.symbol("y", frame))
 
 
@@ -138,7 +138,7 @@ def calibrated_motion_factors(
     start: gtsam.Pose3,
     length: bool = True,
 ) -> list[gtsam.NonlinearFactor]:
-    """As `motion_factor`, `between`, with a mean that changes with the calibration as odometry says.
+    """A motion as `between` of `motion_factor`, with a mean that changes with the calibration as odometry says.
 
     With a factor of our own in Python, GTSAM would copy all variables each time that it is linearised. So a motion
     leads to where the camera would be by the calibration of the file (`filed_key`), and from there it is a linear step.

@@ -25,7 +25,7 @@ class Estimate(Protocol):
         """In the world, (3,), metres."""
 
     def calibration(self) -> gtsam.Cal3Bundler:
-        """Of the camera."""
+        """The calibration of the camera."""
 
     def has(self, key: int) -> bool:
         """Whether a variable is there."""

@@ -278,7 +278,7 @@ class Solver:
         return bool(dropped)
 
     def _keep_within(self, values: gtsam.Values) -> None:
-        """Of the factors, keep those whose variables are all within the lag.
+        """Keep the factors whose variables are all within the lag.
 
         The oldest pose stays where it is, and the camera as it is, whose prior is beyond the lag.
         """

@@ -8,6 +8,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.features.tracks import variances_along
+
 PIXEL_NOISE = 0.3  # pixels, of a displacement along each axis, where no motion has told it
 UNKNOWN = 10.0  # times the usual inverse depth: the deviation of one that is not known
 GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
@@ -151,9 +153,7 @@ def triangulate(
     speed = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
     sigmas = noise / (focal * speed)
     if covariances is not None:
-        x, y = line.T
-        variances = covariances[:, 0, 0] * x * x + 2 * covariances[:, 0, 1] * x * y + covariances[:, 1, 1] * y * y
-        sigmas *= np.sqrt(variances) / speed
+        sigmas *= np.sqrt(variances_along(line, covariances)) / speed
     if covariance is None:
         return InverseDepths.independent(ids, values, sigmas)
     # For y = R (1 + [w]x) y0 and b + |b| B d the cross product above changes by (R w x y) x seen - rho y x (|b| B d).

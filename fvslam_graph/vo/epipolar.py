@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.camera import Camera
+from fvslam_graph.features.tracks import variances_along
 
 Rays = NDArray[np.float64]
 
@@ -44,21 +45,13 @@ def epipolar_distance(
     axes = np.column_stack([direction, gtsam.Unit3(direction).basis()])
     lines = previous @ np.hstack([gtsam.SO3.Hat(axis) @ rotation.matrix() for axis in axes.T])
     line = lines[:, :3]
-    length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)  # a point on the epipole has no line
-    normal = line[:, :2] / length[:, None]
-    distance = (line * current).sum(axis=1) / length
-    foot = current[:, :2] - distance[:, None] * normal  # of the perpendicular: there, no matter how the normal turns
-    weight: NDArray[np.float64] = focal / length
-    if covariances is not None:
-        x, y = normal.T
-        variances = covariances[:, 0, 0] * x * x + 2 * covariances[:, 0, 1] * x * y + covariances[:, 1, 1] * y * y
-        weight = weight / np.sqrt(variances)
+    _, foot, weight, distance = _perpendicular(line, current, focal, covariances)
     jacobian = np.empty((len(line), 5))
     (x, y), (a, b, c) = foot.T, line.T
     jacobian[:, 0], jacobian[:, 1], jacobian[:, 2] = y * c - b, a - x * c, x * b - y * a
     jacobian[:, 3] = lines[:, 3] * x + lines[:, 4] * y + lines[:, 5]
     jacobian[:, 4] = lines[:, 6] * x + lines[:, 7] * y + lines[:, 8]
-    return distance * length * weight, weight[:, None] * jacobian
+    return distance, weight[:, None] * jacobian
 
 
 def calibration_jacobian(
@@ -79,14 +72,7 @@ def calibration_jacobian(
     """
     essential: NDArray[np.float64] = gtsam.SO3.Hat(direction) @ rotation.matrix()
     line = previous @ essential
-    length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)
-    normal = line[:, :2] / length[:, None]
-    off = (line * current).sum(axis=1)
-    foot = current[:, :2] - (off / length)[:, None] * normal
-    weight = focal / length
-    if covariances is not None:
-        weight = weight / np.sqrt((normal * (covariances @ normal[:, :, None])[:, :, 0]).sum(axis=1))
-    distance = off * weight
+    normal, foot, weight, distance = _perpendicular(line, current, focal, covariances)
     squares = [(seen[:, :2] ** 2).sum(axis=1) for seen in (previous, current)]
     across = (normal * current[:, :2]).sum(axis=1)
     columns = []
@@ -98,3 +84,19 @@ def calibration_jacobian(
         moved = (by_line[:, :2] * foot).sum(axis=1) + by_line[:, 2] + (line[:, :2] * by_current).sum(axis=1)
         columns.append(weight * moved + distance * stretch)
     return np.column_stack(columns)
+
+
+def _perpendicular(
+    line: NDArray[np.float64], current: Rays, focal: float, covariances: NDArray[np.float64] | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """The way from lines (N, 3) to points: normal and foot (N, 2), pixels per unit of line . point, and the distance.
+
+    Seen from the foot of the perpendicular, it does not matter how the normal turns.
+    """
+    length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)  # a point on the epipole has no line
+    normal = line[:, :2] / length[:, None]
+    off = (line * current).sum(axis=1)
+    weight = focal / length
+    if covariances is not None:
+        weight = weight / np.sqrt(variances_along(normal, covariances))
+    return normal, current[:, :2] - (off / length)[:, None] * normal, weight, off * weight
