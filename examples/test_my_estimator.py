@@ -4,8 +4,8 @@ import cv2
 import gtsam
 import numpy as np
 
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.testing import assert_ape_below, rendered
-from fvslam_graph.trajectory import Trajectory
 
 
 def optical_mouse(sequence):

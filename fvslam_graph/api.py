@@ -7,18 +7,18 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fvslam_graph.config import Mode, load_config
+from fvslam_graph.core.config import Mode, load_config
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.pipeline import applicable, estimate, facts
 from fvslam_graph.results import Run, collect
 from fvslam_graph.run_folder import RunWriter, read_run
-from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.study.carry_out import carry_out
 from fvslam_graph.study.declaration import comparison, default_folder
 from fvslam_graph.study.outcome import Outcome
-from fvslam_graph.trajectory import Trajectory
 
 
 def run(

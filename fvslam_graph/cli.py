@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from fvslam_graph.errors import FvslamError
+from fvslam_graph.core.errors import FvslamError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fvslam_graph.config import Config
-    from fvslam_graph.sequences.base import Sequence
+    from fvslam_graph.core.config import Config
+    from fvslam_graph.core.sequence import Sequence
+    from fvslam_graph.core.trajectory import Status
     from fvslam_graph.study.declaration import Study
-    from fvslam_graph.trajectory import Status
 
 app = typer.Typer(
     name="fvslam",
@@ -81,8 +81,8 @@ def run(
     camera_k1: CameraK1 = None,
 ) -> None:
     """Run an estimator on a sequence and keep the result in a folder."""
-    from fvslam_graph.config import load_config
-    from fvslam_graph.files import file_name
+    from fvslam_graph.core.config import load_config
+    from fvslam_graph.core.files import file_name
     from fvslam_graph.sequences.opening import open_sequence
 
     given = [f"{name}={value}" for name, value in (("mode", mode), ("seed", seed)) if value is not None]
@@ -163,9 +163,9 @@ def compare(
     workers: Annotated[int, typer.Option(help="Runs at once; with 1, times are undisturbed.", min=1)] = 1,
 ) -> None:
     """Run all modes on a sequence over several seeds, and compare them, also with other systems."""
-    from fvslam_graph.errors import ConfigError
+    from fvslam_graph.core.errors import ConfigError
+    from fvslam_graph.core.yaml_files import parse_yaml
     from fvslam_graph.study.declaration import comparison, default_folder
-    from fvslam_graph.yaml_files import parse_yaml
 
     files = dict(_pair(text, "--external", "NAME=FILE") for text in external or [])
     values = dict(_pair(text, "--set", "group.name=value") for text in settings or [])
@@ -230,7 +230,7 @@ def demo(
     frames: Annotated[int, typer.Option(help="Length of the flight.", min=10)] = 200,
 ) -> None:
     """Fly a small UAV over generated terrain, estimate its motion in all modes, and compare."""
-    from fvslam_graph.config import Mode, load_config
+    from fvslam_graph.core.config import Mode, load_config
     from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.evaluation.report import runs_table
@@ -268,10 +268,10 @@ def _carry_out(study: Study, out: Path, workers: int | None, scheduler: str | No
 
 def _run(sequence: Sequence, config: Config, folder: Path) -> str:
     """Run, and say how many frames came out how."""
-    from fvslam_graph.files import one_line
+    from fvslam_graph.core.files import one_line
+    from fvslam_graph.core.trajectory import Status
     from fvslam_graph.pipeline import applicable, estimate, facts
     from fvslam_graph.run_folder import RunWriter
-    from fvslam_graph.trajectory import Status
 
     effective = applicable(config, sequence)
     if effective != config:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import ResultsError
-from fvslam_graph.slam.estimate import Outcome, SlamEstimate
-from fvslam_graph.text_files import OWN_MAX_SIZE, read_text
+from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.slam_estimate import Outcome, SlamEstimate
+from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
 
 NEW = "new"  # in place of an outcome: begins at this frame
 _NUMBERS = (

@@ -9,14 +9,14 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.config import Config, SlamSettings
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.config import Config, SlamSettings
+from fvslam_graph.core.frame_result import FrameResult
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.slam_estimate import SlamEstimate
 from fvslam_graph.features.scene_tracker import SceneTracker
 from fvslam_graph.pipeline import Eyes, estimate
-from fvslam_graph.results import FrameResult
-from fvslam_graph.sequences.base import Frame
 from fvslam_graph.sequences.points import PointScene
-from fvslam_graph.slam.estimate import SlamEstimate
 from fvslam_graph.slam.scene_finder import SceneFinder, known_points
 from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.vo.scale import ORACLE_VARIANCE

@@ -9,8 +9,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from fvslam_graph.errors import ResultsError
-from fvslam_graph.files import writing
+from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.files import writing
 
 MARK, LOCK = ".fvslam.json", ".fvslam.lock"
 INFO = "run.json"

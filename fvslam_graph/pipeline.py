@@ -10,25 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from fvslam_graph.config import Config, Mode, ScaleSource
-from fvslam_graph.errors import ConfigError
-from fvslam_graph.estimates import VAGUE, GaussianPose
-from fvslam_graph.features.known_points import KnownPoints
-from fvslam_graph.features.tracks import Association
+from fvslam_graph.core.config import Config, Mode, ScaleSource
+from fvslam_graph.core.errors import ConfigError
+from fvslam_graph.core.frame_result import FrameResult
+from fvslam_graph.core.gaussian_pose import VAGUE, GaussianPose
+from fvslam_graph.core.known_points import KnownPoints
+from fvslam_graph.core.landmark_finder import LandmarkFinder
+from fvslam_graph.core.sequence import DuplicateFilter, Frame, Sequence
+from fvslam_graph.core.slam_estimate import Outcome, SlamEstimate
+from fvslam_graph.core.stopwatch import Stopwatch
+from fvslam_graph.core.tracks import Association
+from fvslam_graph.core.trajectory import Status
+from fvslam_graph.core.vo_estimate import VoEstimate
 from fvslam_graph.fusion.average import Average
 from fvslam_graph.fusion.fusion import Fusion, RuleFusion, SlamAlone
 from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.fusion.interleave import Interleave
 from fvslam_graph.fusion.intersection import Intersection
-from fvslam_graph.results import FrameResult
-from fvslam_graph.sequences.base import DuplicateFilter, Frame, Sequence
-from fvslam_graph.slam.estimate import Outcome, SlamEstimate
-from fvslam_graph.slam.finder import LandmarkFinder
 from fvslam_graph.slam.patch_finder import PatchFinder
 from fvslam_graph.slam.vslam import VSlam
-from fvslam_graph.stopwatch import Stopwatch
-from fvslam_graph.trajectory import Status
-from fvslam_graph.vo.estimate import VoEstimate
 from fvslam_graph.vo.odometry import VisualOdometry
 
 VO_STAGES = ("association", "pose", "scale", "detection")

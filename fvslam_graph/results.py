@@ -11,40 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from fvslam_graph.errors import EstimationError
-from fvslam_graph.estimates import GaussianPose
-from fvslam_graph.fusion.graph import Graph
-from fvslam_graph.slam.estimate import SlamEstimate
-from fvslam_graph.trajectory import Status, Trajectory
-
-
-@dataclass(frozen=True)
-class FrameResult:
-    """What an estimator says about one frame.
-
-    Attributes:
-        index: Position in the sequence, from 0; every frame has a result, in order.
-        stamp: Seconds.
-        pose: world_T_camera as known when the frame arrived.
-        status: How the pose came about.
-        previous: Index of the frame that `relative` starts from; `index` itself for the first frame.
-        relative: prev_T_cur.
-        measures: Columns of frames.csv, such as tracks, inliers, scale (m per unit baseline), scale_sigma.
-        times: Milliseconds by stage. Measures and stages have the same names in every frame of a run.
-        slam: What visual SLAM says, where it ran on this frame.
-        graph: The factor graph, where the mode has one: the same object in every result, which goes on to grow.
-    """
-
-    index: int
-    stamp: float
-    pose: GaussianPose
-    status: Status
-    previous: int
-    relative: GaussianPose
-    measures: Mapping[str, float]
-    times: Mapping[str, float]
-    slam: SlamEstimate | None = None
-    graph: Graph | None = None
+from fvslam_graph.core.errors import EstimationError
+from fvslam_graph.core.frame_result import FrameResult, SmoothedGraph
+from fvslam_graph.core.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -98,7 +67,7 @@ class Run:
         return len(self.online) / (self.info.get("frames") or np.nan)
 
 
-def smooth(graph: Graph | None) -> tuple[Trajectory | None, dict[str, Any]]:
+def smooth(graph: SmoothedGraph | None) -> tuple[Trajectory | None, dict[str, Any]]:
     """The poses by all measurements, as far as these determine them, and what run.json says of it.
 
     That is how many poses are `smoothed`, and the `calibration` of the camera with its standard deviations.

@@ -23,19 +23,18 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, NonNegativeInt, ValidationError
 
-from fvslam_graph.complaints import complaint
-from fvslam_graph.errors import ResultsError
-from fvslam_graph.files import replacing, write_file, write_json, writing
-from fvslam_graph.fusion.graph import Graph
-from fvslam_graph.fusion.graph_files import FACTORS, G2O, LANDMARKS_PLY, VALUES
+from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.files import replacing, write_file, write_json, writing
+from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES, FrameResult, SmoothedGraph
+from fvslam_graph.core.slam_estimate import SlamEstimate
+from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
+from fvslam_graph.core.trajectory import Status, Trajectory, kitti_line, tum_line
+from fvslam_graph.core.validation import complaint
+from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.landmark_table import COLUMNS, landmark_rows
 from fvslam_graph.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind_of
 from fvslam_graph.provenance import peak_memory_mb, provenance
-from fvslam_graph.results import FrameResult, Relatives, Run, smooth
-from fvslam_graph.slam.estimate import SlamEstimate
-from fvslam_graph.text_files import OWN_MAX_SIZE, read_text
-from fvslam_graph.trajectory import Status, Trajectory, kitti_line, tum_line
-from fvslam_graph.yaml_files import read_yaml_mapping
+from fvslam_graph.results import Relatives, Run, smooth
 
 ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
 SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"
@@ -91,7 +90,7 @@ class RunWriter:
         self._ground_truth = ground_truth
         self._results: list[FrameResult] = []
         self._landmarks: TextIO | None = None
-        self._graph: Graph | None = None
+        self._graph: SmoothedGraph | None = None
 
     def __enter__(self) -> RunWriter:
         self._begin = time.perf_counter()

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 from fvslam_graph.api import evaluate
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.results import Run
-from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.synthetic import synthetic_sequence
-from fvslam_graph.trajectory import Trajectory
 
 
 def rendered(world: str, **options: Any) -> Sequence:

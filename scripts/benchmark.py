@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from fvslam_graph.config import Config, load_config
-from fvslam_graph.errors import FvslamError
-from fvslam_graph.files import writing
+from fvslam_graph.core.config import Config, load_config
+from fvslam_graph.core.errors import FvslamError
+from fvslam_graph.core.files import writing
+from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.pipeline import applicable, estimate, stages
 from fvslam_graph.provenance import peak_memory_mb
-from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.opening import open_sequence
 
 WARM_UP = 5  # frames

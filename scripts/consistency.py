@@ -13,11 +13,11 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from fvslam_graph.config import load_config
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.nees import average_nees
 from fvslam_graph.pipeline import estimate
 from fvslam_graph.sequences.opening import open_sequence
-from fvslam_graph.trajectory import Status
 
 PARTS = {"pose": slice(0, 6), "rotation": slice(0, 3), "translation": slice(3, 6)}
 

@@ -14,9 +14,9 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from fvslam_graph.config import load_config
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.pipeline import applicable, estimate
-from fvslam_graph.results import FrameResult
 from fvslam_graph.sequences.disturbed import DISTURBANCES, Disturbed
 from fvslam_graph.sequences.opening import open_sequence
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from fvslam_graph.config import load_config
-from fvslam_graph.errors import FvslamError
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.plots import STYLE
 from fvslam_graph.evaluation.tables import Table

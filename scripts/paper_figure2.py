@@ -12,8 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fvslam_graph.config import load_config
-from fvslam_graph.errors import FvslamError
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.errors import FvslamError
+from fvslam_graph.core.slam_estimate import Outcome
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.plots import RUN_COLOURS, TRUTH, level_axes
 from fvslam_graph.evaluation.runs import evaluation_of
@@ -21,7 +22,6 @@ from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.pipeline import applicable, estimate, facts
 from fvslam_graph.results import collect
 from fvslam_graph.sequences.opening import open_sequence
-from fvslam_graph.slam.estimate import Outcome
 from fvslam_graph.study.job import numbers
 
 MODES = {"vo": "VO", "vslam": "V-SLAM", "average": "our approach"}

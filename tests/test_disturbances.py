@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fvslam_graph.config import load_config
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.trajectory import Status
 from fvslam_graph.pipeline import estimate
 from fvslam_graph.sequences.disturbed import DISTURBANCES
 from fvslam_graph.testing import rendered
-from fvslam_graph.trajectory import Status
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "disturbances.py"
 

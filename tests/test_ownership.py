@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fvslam_graph.errors import ResultsError
-from fvslam_graph.files import file_name, one_line, replacing, write_file
+from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.files import file_name, one_line, replacing, write_file
 from fvslam_graph.ownership import LOCK, MARK, Kind, claim_files, claimed, disown, kind_of
 
 

@@ -8,8 +8,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import ScaleSource, load_config
-from fvslam_graph.errors import ConfigError
+from fvslam_graph.core.config import ScaleSource, load_config
+from fvslam_graph.core.errors import ConfigError
+from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.monte_carlo import pose_errors, run
@@ -19,7 +20,6 @@ from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.points import simulate_drive, simulate_flight
 from fvslam_graph.sequences.synthetic import synthetic_sequence
 from fvslam_graph.testing import rendered
-from fvslam_graph.trajectory import Status
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import load_config
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation, evaluate
 from fvslam_graph.pipeline import applicable, estimate
 from fvslam_graph.sequences.opening import open_sequence
-from fvslam_graph.trajectory import Status, Trajectory
 
 
 def run(path, preset: str = "tuned", frames: str = ":", settings: tuple[str, ...] = ()):

@@ -3,8 +3,8 @@
 import pytest
 
 import fvslam_graph
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.testing import assert_ape_below
-from fvslam_graph.trajectory import Trajectory
 
 
 def test_the_worlds(uav_sequence, drive_sequence):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from fvslam_graph.errors import FvslamError
+from fvslam_graph.core.errors import FvslamError
 
 
 class Alignment(StrEnum):

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fvslam_graph.errors import TrajectoryError
+from fvslam_graph.core.errors import TrajectoryError
+from fvslam_graph.core.files import replacing, write_file, write_json, writing
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import SAME_INSTANT, Association, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
 from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
-from fvslam_graph.files import replacing, write_file, write_json, writing
 from fvslam_graph.results import Relatives
 from fvslam_graph.run_folder import METRICS, REFERENCE
-from fvslam_graph.trajectory import Trajectory
 
 FARTHEST = 1e9  # m, beyond the moon; squares of errors stay exact enough
 FEW = 0.5  # of the poses that could have a reference; fewer are worth a note

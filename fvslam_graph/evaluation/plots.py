@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import ResultsError
+from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.files import one_line, write_file, writing
+from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import Association
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluation_of
-from fvslam_graph.files import one_line, write_file, writing
 from fvslam_graph.ownership import claim_files
 from fvslam_graph.results import Relatives, Run
-from fvslam_graph.trajectory import Status, Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fvslam_graph.errors import ResultsError
+from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.files import one_line
+from fvslam_graph.core.text_files import read_text
+from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.files import one_line
 from fvslam_graph.results import Run
 from fvslam_graph.run_folder import METRICS, read_run
-from fvslam_graph.text_files import read_text
-from fvslam_graph.trajectory import Status
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable

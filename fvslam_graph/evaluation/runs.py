@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fvslam_graph.errors import ResultsError, TrajectoryError
+from fvslam_graph.core.errors import ResultsError, TrajectoryError
+from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import is_folder, load_trajectory
 from fvslam_graph.evaluation.metrics import Evaluation, evaluate
 from fvslam_graph.results import Run
 from fvslam_graph.run_folder import read_run
-from fvslam_graph.trajectory import Status, Trajectory
 
 
 def evaluate_run(folder: Path, reference: Path | None = None, align: Alignment = Alignment.SE3) -> Evaluation:

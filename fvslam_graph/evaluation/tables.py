@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fvslam_graph.files import one_line
+from fvslam_graph.core.files import one_line
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable

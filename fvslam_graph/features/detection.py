@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.config import FeatureSettings
+from fvslam_graph.core.config import FeatureSettings
 from fvslam_graph.features.texture import Texture
 
 BORDER = 8  # pixels at the rim where no patch fits

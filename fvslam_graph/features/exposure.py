@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Image
+from fvslam_graph.core.camera import Image
 
 REDUCTION = 16  # so small that what moves between two images hardly matters
 CLIPPED = (5, 250)  # grey levels beyond which brightness is not measured

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Image
-from fvslam_graph.config import FeatureSettings
+from fvslam_graph.core.camera import Image
+from fvslam_graph.core.config import FeatureSettings
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.detection import BORDER, detect
 from fvslam_graph.features.exposure import exposed, exposure_change, reduced
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.features.tracks import Tracks
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Image
-from fvslam_graph.config import FeatureSettings
+from fvslam_graph.core.camera import Image
+from fvslam_graph.core.config import FeatureSettings
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.features.tracks import Tracks
 
 PATCH = 11  # pixels, side of a patch
 _X, _Y = np.array([1, 0]), np.array([0, 1])

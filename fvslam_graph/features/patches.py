@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Image
+from fvslam_graph.core.camera import Camera, Image
 
 Array = NDArray[np.float64]
 Patches = NDArray[np.float32]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvslam_graph.camera import Image
-from fvslam_graph.features.tracks import Tracks
+from fvslam_graph.core.camera import Image
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.sequences.points import PointScene, frame_number
 
 

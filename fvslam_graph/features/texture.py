@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Image
+from fvslam_graph.core.camera import Image
 
 WINDOW = 5  # pixels of the reduced image
 EDGE = 10.0  # times more texture across an edge than along it: there, the variance along it has doubled

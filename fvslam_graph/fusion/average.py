@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fvslam_graph.estimates import GaussianPose
-from fvslam_graph.trajectory import interpolate
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.trajectory import interpolate
 
 
 @dataclass(frozen=True)

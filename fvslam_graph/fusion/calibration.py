@@ -8,8 +8,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Distortion
-from fvslam_graph.config import GraphSettings
+from fvslam_graph.core.camera import Camera, Distortion
+from fvslam_graph.core.config import GraphSettings
 
 Array = NDArray[np.float64]
 

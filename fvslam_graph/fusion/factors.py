@@ -10,9 +10,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, OdometryStep
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.calibration import CALIBRATION, SelfCalibration
 
 Array = NDArray[np.float64]

@@ -5,11 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import replace
 
-from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaledPose, Views
+from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.fusion.rule import FusionRule
-from fvslam_graph.sequences.base import Frame
 
 
 class Fusion(ABC):

@@ -10,10 +10,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.errors import EstimationError
-from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaledPose, Views
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.errors import EstimationError
+from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
+from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.trajectory import Trajectory
+from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.calibration import (
     CALIBRATION,
     CalibrationEstimate,
@@ -38,7 +41,6 @@ from fvslam_graph.fusion.newcomers import Newcomers, View
 from fvslam_graph.fusion.pixel_noise import PixelNoise
 from fvslam_graph.fusion.scale_chain import ScaleChain
 from fvslam_graph.fusion.solver import Solver
-from fvslam_graph.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,10 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.files import replacing, write_file
+from fvslam_graph.core.files import replacing, write_file
+from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES
 from fvslam_graph.fusion.calibration import CALIBRATION, FIXED
 from fvslam_graph.fusion.factors import is_filed, is_landmark, is_pose, length_factor, pose_key
-
-G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
 
 Lengths = Mapping[tuple[int, int], tuple[float, float]]
 """Metres and deviation of motions between two frames."""

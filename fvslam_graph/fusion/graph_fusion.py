@@ -8,12 +8,14 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings, GroundSettings
-from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaledPose, Views
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings, GroundSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
+from fvslam_graph.core.sequence import Frame, Ground
+from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.fusion import Fusion
 from fvslam_graph.fusion.graph import Graph
-from fvslam_graph.sequences.base import Frame, Ground
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.gaussian_pose import GaussianPose
 
 
 @dataclass(frozen=True)

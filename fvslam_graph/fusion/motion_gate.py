@@ -7,8 +7,8 @@ import numpy as np
 import poselib
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.gaussian_pose import GaussianPose
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import Views
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.slam_estimate import Views
 from fvslam_graph.fusion.factors import pose_key
 
 Array = NDArray[np.float64]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvslam_graph.estimates import GaussianPose, OdometryStep, ScaledPose
+from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
+from fvslam_graph.core.vo_estimate import OdometryStep
 
 
 class OdometryChain:

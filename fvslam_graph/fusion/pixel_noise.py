@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.gaussian_pose import GaussianPose
 
 
 class FusionRule(Protocol):

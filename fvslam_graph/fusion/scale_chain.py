@@ -10,7 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import VAGUE, GaussianPose, LogScale, ScaleStep
+from fvslam_graph.core.gaussian_pose import VAGUE, GaussianPose, LogScale
+from fvslam_graph.core.vo_estimate import ScaleStep
 from fvslam_graph.fusion.factors import SHORT, pose_key
 
 LENGTH_SIGMA = 1e-4  # share of a length that it errs by, beyond its scale

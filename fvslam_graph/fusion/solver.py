@@ -11,8 +11,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.errors import EstimationError
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.fusion.calibration import CALIBRATION, is_camera
 from fvslam_graph.fusion.factors import is_filed, is_landmark, is_pose
 from fvslam_graph.fusion.sightings import Sightings, astray

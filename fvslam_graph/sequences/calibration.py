@@ -9,8 +9,8 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.errors import CameraError
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.errors import CameraError
 from fvslam_graph.sequences.entries import Entries
 from fvslam_graph.sequences.plausibility import distorts_oddly, make_camera, pinhole, rigid_pose
 from fvslam_graph.sequences.tables import CalibrationText

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.sequences.base import Ground, Sequence
-from fvslam_graph.trajectory import Trajectory
+from fvslam_graph.core.sequence import Ground, Sequence
+from fvslam_graph.core.trajectory import Trajectory
 
 GAP = 1.5  # medians between two stamps that make a gap
 LISTED = 5  # gaps that are listed one by one

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Image
-from fvslam_graph.sequences.base import Sequence
-from fvslam_graph.trajectory import Trajectory
+from fvslam_graph.core.camera import Image
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.trajectory import Trajectory
 
 LENGTH = 15  # frames
 DARKNESS = 5  # images

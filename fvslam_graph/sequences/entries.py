@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fvslam_graph.errors import CameraError
-from fvslam_graph.yaml_files import read_yaml_mapping
+from fvslam_graph.core.errors import CameraError
+from fvslam_graph.core.yaml_files import read_yaml_mapping
 
 CLOSE = 0.8  # similarity of two keys from which on one is taken for a typing error
 # What speaks of the lens must not be left out, however it is spelt.

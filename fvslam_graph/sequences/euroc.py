@@ -13,13 +13,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import CameraError, SequenceError
-from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.core.errors import CameraError, SequenceError
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.trajectory import Trajectory
+from fvslam_graph.core.trajectory_files import Layout
 from fvslam_graph.sequences.calibration import read_calibration
 from fvslam_graph.sequences.images import ImageFiles
 from fvslam_graph.sequences.tables import read_listing, require_increasing
-from fvslam_graph.trajectory import Trajectory
-from fvslam_graph.trajectory_files import Layout
 
 FORMAT = "euroc"
 LAYOUT = "mav0/cam0/ with data.csv and sensor.yaml, or dso/camchain.yaml beside mav0/"

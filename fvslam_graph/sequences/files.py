@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import SequenceError
+from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.sequences.tables import require_increasing
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp", ".tif", ".tiff", ".webp"}

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import SequenceError
-from fvslam_graph.sequences.base import Ground, Sequence
+from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.sequence import Ground, Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.calibration import read_calibration
 from fvslam_graph.sequences.files import count_of, image_files, stamps_in_names
 from fvslam_graph.sequences.ground import UAV_TILT, level_ground
@@ -22,7 +23,6 @@ from fvslam_graph.sequences.tables import (
     require_increasing,
     to_numbers,
 )
-from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "folder"
 LAYOUT = "images/ and camera.yaml"

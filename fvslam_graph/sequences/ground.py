@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import SequenceError
-from fvslam_graph.sequences.base import Ground, Sequence
+from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.sequence import Ground, Sequence
 
 # How far a camera tilts against the ground, standard deviations in radians.
 CAR_TILT = 0.01  # a car pitches on its springs, and the mounting is not quite level

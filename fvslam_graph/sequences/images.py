@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import MAX_SIDE, Camera, Distortion, Image, Rectifier
-from fvslam_graph.errors import CameraError, SequenceError
+from fvslam_graph.core.camera import MAX_SIDE, Camera, Distortion, Image, Rectifier
+from fvslam_graph.core.errors import CameraError, SequenceError
 from fvslam_graph.sequences.files import count_of, ranges
 
 MAX_BYTES = 500_000_000  # of a file; the largest image has 200 MB, uncompressed

@@ -12,8 +12,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import TrajectoryError
-from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.core.errors import TrajectoryError
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.calibration import projection_camera
 from fvslam_graph.sequences.files import numbered_images
 from fvslam_graph.sequences.images import ImageFiles
@@ -27,7 +28,6 @@ from fvslam_graph.sequences.tables import (
     require_rows,
     to_numbers,
 )
-from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "karlsruhe"
 LAYOUT = "I1_*.png or I1_*.pgm and calib.txt"

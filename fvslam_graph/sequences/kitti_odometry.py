@@ -12,13 +12,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.calibration import projection_camera
 from fvslam_graph.sequences.files import numbered_images, only_one
 from fvslam_graph.sequences.ground import kitti_ground
 from fvslam_graph.sequences.images import ImageFiles
 from fvslam_graph.sequences.tables import CalibrationText, even_stamps, read_stamps, require_rows
-from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "kitti-odometry"
 LAYOUT = "image_0/ (or image_1, 2, 3) and calib.txt, or sequences/NN/ with them"

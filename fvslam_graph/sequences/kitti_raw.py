@@ -11,8 +11,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Rectifier
-from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.core.camera import Camera, Rectifier
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.calibration import projection_camera
 from fvslam_graph.sequences.files import count_of, numbered_images, only_one, ranges
 from fvslam_graph.sequences.ground import kitti_ground
@@ -26,7 +27,6 @@ from fvslam_graph.sequences.tables import (
     require_increasing,
     require_rows,
 )
-from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "kitti-raw"
 LAYOUT = "image_00/data/ of a drive, or a date's folder with calib_cam_to_cam.txt and a drive"

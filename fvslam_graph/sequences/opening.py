@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-from fvslam_graph.errors import SequenceError
+from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.sequences import euroc, folder, karlsruhe, kitti_odometry, kitti_raw, tum_rgbd, video
-from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.ground import override_ground
 from fvslam_graph.sequences.plausibility import doubts
 

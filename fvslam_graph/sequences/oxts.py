@@ -9,8 +9,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import SequenceError, TrajectoryError
-from fvslam_graph.text_files import read_text
+from fvslam_graph.core.errors import SequenceError, TrajectoryError
+from fvslam_graph.core.text_files import read_text
 
 _TIME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d(\.\d{1,9})?")
 

@@ -9,9 +9,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Distortion
-from fvslam_graph.errors import CameraError
-from fvslam_graph.trajectory import pose_from_matrix
+from fvslam_graph.core.camera import Camera, Distortion
+from fvslam_graph.core.errors import CameraError
+from fvslam_graph.core.trajectory import pose_from_matrix
 
 Array = NDArray[np.float64]
 

@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Image
-from fvslam_graph.errors import SequenceError
-from fvslam_graph.sequences.base import Ground, Sequence
+from fvslam_graph.core.camera import Camera, Image
+from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.random_streams import stream
+from fvslam_graph.core.sequence import Ground, Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.worlds.drive import KITTI, drive_middle, drive_motion
 from fvslam_graph.sequences.worlds.motion import RATE, Motion
-from fvslam_graph.sequences.worlds.streams import stream
 from fvslam_graph.sequences.worlds.uav import DEPRESSION, View, uav_camera, uav_motion
-from fvslam_graph.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 Surface = Callable[[Array, Array, np.random.Generator], Array]

@@ -10,9 +10,9 @@ from urllib.parse import parse_qsl
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from fvslam_graph.camera import Camera, Image
-from fvslam_graph.errors import SequenceError
-from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.core.camera import Camera, Image
+from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.sequences.worlds.drive import DriveWorld
 from fvslam_graph.sequences.worlds.effects import Effects
 from fvslam_graph.sequences.worlds.motion import RATE, Motion

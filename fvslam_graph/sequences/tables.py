@@ -10,10 +10,10 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import CameraError, SequenceError, TrajectoryError
-from fvslam_graph.text_files import read_text
-from fvslam_graph.trajectory import Trajectory
-from fvslam_graph.trajectory_files import FARTHEST
+from fvslam_graph.core.errors import CameraError, SequenceError, TrajectoryError
+from fvslam_graph.core.text_files import read_text
+from fvslam_graph.core.trajectory import Trajectory
+from fvslam_graph.core.trajectory_files import FARTHEST
 
 MIN_STEP = 1e-6  # seconds; stamps since 1970 are held to a quarter of that
 MIN_RATE, MAX_RATE = 0.1, 1e4  # frames a second, by the median

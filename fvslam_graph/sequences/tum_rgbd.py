@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fvslam_graph.camera import Camera, Distortion
-from fvslam_graph.errors import CameraError
-from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.core.camera import Camera, Distortion
+from fvslam_graph.core.errors import CameraError
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.calibration import Calibration, read_calibration
 from fvslam_graph.sequences.images import ImageFiles
 from fvslam_graph.sequences.tables import read_listing, require_increasing, to_numbers
-from fvslam_graph.trajectory import Trajectory
 
 FORMAT = "tum-rgbd"
 LAYOUT = "rgb.txt"

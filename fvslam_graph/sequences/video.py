@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Distortion, Image, Rectifier
-from fvslam_graph.errors import CameraError, SequenceError
-from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.core.camera import Camera, Distortion, Image, Rectifier
+from fvslam_graph.core.errors import CameraError, SequenceError
+from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.sequences.calibration import read_calibration
 from fvslam_graph.sequences.tables import MAX_RATE, MIN_RATE, MIN_STEP, even_stamps
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.features.known_points import KnownPoints
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.slam.covariances import extended, selected
 from fvslam_graph.slam.landmarks import Array, angles
 from fvslam_graph.slam.state import FIXED, PART, SCALE, State

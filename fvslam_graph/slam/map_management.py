@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import SlamSettings
-from fvslam_graph.features.known_points import KnownPoints
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import SlamSettings
+from fvslam_graph.core.known_points import KnownPoints
+from fvslam_graph.core.landmark_finder import LandmarkFinder
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.slam_estimate import Outcome, Searched
 from fvslam_graph.features.patches import MARGIN
-from fvslam_graph.sequences.base import Frame
-from fvslam_graph.slam.estimate import Outcome, Searched
-from fvslam_graph.slam.finder import LandmarkFinder
 from fvslam_graph.slam.initialisation import depths_from_map, equal_depths, known_depths, with_new_landmarks
 from fvslam_graph.slam.landmarks import Array, linearity_index
 from fvslam_graph.slam.records import NO_TRACK, Records

@@ -9,7 +9,7 @@ import scipy.linalg
 import scipy.sparse
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
 from fvslam_graph.slam.covariances import each_transformed, innovation, sparse_rows
 from fvslam_graph.slam.landmarks import Array, hat, scaled_points
 from fvslam_graph.slam.motion import travelled

@@ -7,8 +7,8 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from fvslam_graph.config import SlamSettings
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.config import SlamSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.slam.covariances import sparse_rows, symmetric, transformed
 from fvslam_graph.slam.landmarks import Array, points_seen_from, rays_seen_from
 from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State

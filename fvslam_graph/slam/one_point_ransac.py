@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
 from fvslam_graph.slam.covariances import innovation, inverse_root
 from fvslam_graph.slam.landmarks import Array
 from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels

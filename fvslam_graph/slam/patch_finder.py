@@ -6,13 +6,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import FeatureSettings, SlamSettings
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import FeatureSettings, SlamSettings
+from fvslam_graph.core.landmark_finder import Search
+from fvslam_graph.core.sequence import Frame
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.patches import REACH, align, cut_tiles, search, view_change, warp
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.sequences.base import Frame
-from fvslam_graph.slam.finder import Search
 from fvslam_graph.slam.landmarks import Array
 from fvslam_graph.slam.measurement import GATE
 

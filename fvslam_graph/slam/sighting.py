@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import gtsam
 
-from fvslam_graph.estimates import GaussianPose
-from fvslam_graph.slam.estimate import Searched
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.slam_estimate import Searched
 from fvslam_graph.slam.state import State
 
 

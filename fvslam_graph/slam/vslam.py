@@ -10,15 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import SlamSettings
-from fvslam_graph.estimates import GaussianPose
-from fvslam_graph.features.known_points import KnownPoints
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import SlamSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.known_points import KnownPoints
+from fvslam_graph.core.landmark_finder import LandmarkFinder, Search
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.slam_estimate import Landmarks, Outcome, Searched, SlamEstimate
+from fvslam_graph.core.stopwatch import Stopwatch
+from fvslam_graph.core.trajectory import Status
 from fvslam_graph.features.patches import MARGIN
-from fvslam_graph.sequences.base import Frame
 from fvslam_graph.slam.covariances import keep_memory
-from fvslam_graph.slam.estimate import Landmarks, Outcome, Searched, SlamEstimate
-from fvslam_graph.slam.finder import LandmarkFinder, Search
 from fvslam_graph.slam.landmarks import Array
 from fvslam_graph.slam.map_management import MapManager
 from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels, update
@@ -35,8 +37,6 @@ from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
 from fvslam_graph.slam.records import NO_TRACK
 from fvslam_graph.slam.sighting import Remembered, Sighting
 from fvslam_graph.slam.state import POSE, SCALE, VELOCITY, State
-from fvslam_graph.stopwatch import Stopwatch
-from fvslam_graph.trajectory import Status
 
 PATIENCE = 3  # images in a row without enough matches before the map is rebuilt
 MIN_CANDIDATES = 10  # corners that an image has at least, for a map to be built on it

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import yaml
 
-from fvslam_graph.errors import FvslamError, StudyError
+from fvslam_graph.core.errors import FvslamError, StudyError
+from fvslam_graph.core.files import file_name, write_file, writing
 from fvslam_graph.evaluation.plots import plot_runs
-from fvslam_graph.files import file_name, write_file, writing
 from fvslam_graph.ownership import Kind, claimed
 from fvslam_graph.results import Run
 from fvslam_graph.run_folder import read_run

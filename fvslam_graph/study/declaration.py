@@ -10,13 +10,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from fvslam_graph.complaints import complaint
-from fvslam_graph.config import Mode, load_config
-from fvslam_graph.errors import ConfigError, StudyError
+from fvslam_graph.core.config import Mode, load_config
+from fvslam_graph.core.errors import ConfigError, StudyError
+from fvslam_graph.core.files import file_name
+from fvslam_graph.core.validation import complaint
+from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.files import file_name
 from fvslam_graph.study.job import Job, Source
-from fvslam_graph.yaml_files import read_yaml_mapping
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import FvslamError, TrajectoryError
+from fvslam_graph.core.errors import FvslamError, TrajectoryError
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import load_trajectory
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.results import Run
-from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.study.job import Row, numbers
 from fvslam_graph.study.outcome import EXTERNAL
-from fvslam_graph.trajectory import Trajectory
 
 
 def external_run(name: str, file: str, sequence: Sequence) -> Run:

@@ -16,21 +16,21 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 
 import fvslam_graph
-from fvslam_graph.config import Config
-from fvslam_graph.errors import FvslamError, ResultsError
+from fvslam_graph.core.config import Config
+from fvslam_graph.core.errors import FvslamError, ResultsError
+from fvslam_graph.core.files import LONGEST, file_name, replacing, write_json, writing
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.text_files import read_text
+from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
-from fvslam_graph.files import LONGEST, file_name, replacing, write_json, writing
 from fvslam_graph.ownership import Kind, claimed, kind_of
 from fvslam_graph.pipeline import applicable, estimate, facts
 from fvslam_graph.provenance import forget_peak_memory, provenance
 from fvslam_graph.results import Run
 from fvslam_graph.run_folder import RunWriter, read_run
-from fvslam_graph.sequences.base import Sequence
 from fvslam_graph.sequences.opening import open_sequence
-from fvslam_graph.text_files import read_text
-from fvslam_graph.trajectory import Status
 
 LARGEST = 2e9  # bytes of rendered images
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from fvslam_graph.core.files import write_file, writing
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.files import write_file, writing
 from fvslam_graph.study.job import METRICS, Row
 
 LABELS = ("sequence", "mode", "preset", "variant")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import yaml
 
+from fvslam_graph.core.files import write_file
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.files import write_file
 from fvslam_graph.provenance import provenance
 from fvslam_graph.study.declaration import Study
 from fvslam_graph.study.outcome import COSTS, LABELS, Outcome

@@ -11,8 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
+from fvslam_graph.core.files import one_line
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.files import one_line
 from fvslam_graph.study.outcome import EXTERNAL, Outcome
 
 CONFIDENCE = 0.95

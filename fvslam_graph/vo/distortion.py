@@ -6,11 +6,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import load_config
-from fvslam_graph.errors import EstimationError
-from fvslam_graph.features.tracks import Tracks
-from fvslam_graph.sequences.base import MOST_DISTORTED, Sequence
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.errors import EstimationError
+from fvslam_graph.core.sequence import MOST_DISTORTED, Sequence
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.epipolar import calibration_jacobian, epipolar_distance, rays
 from fvslam_graph.vo.odometry import VisualOdometry
 

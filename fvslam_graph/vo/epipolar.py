@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.features.tracks import variances_along
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.tracks import variances_along
 
 Rays = NDArray[np.float64]
 

@@ -14,9 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Image
-from fvslam_graph.config import GroundSettings
-from fvslam_graph.vo.depth import InverseDepths, triangulate
+from fvslam_graph.core.camera import Camera, Image
+from fvslam_graph.core.config import GroundSettings
+from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import epipolar_distance, rays
 from fvslam_graph.vo.two_view import TwoView
 

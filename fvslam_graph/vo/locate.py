@@ -9,11 +9,11 @@ import numpy as np
 import poselib
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import VoSettings
-from fvslam_graph.estimates import GaussianPose
-from fvslam_graph.features.tracks import Tracks
-from fvslam_graph.vo.depth import InverseDepths
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import VoSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 from fvslam_graph.vo.reprojection import reprojection_errors
 from fvslam_graph.vo.two_view import KERNEL, START_NOISE, WIDTHS, a_sample, poselib_camera

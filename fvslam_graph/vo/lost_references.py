@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from fvslam_graph.features.tracks import Association
-from fvslam_graph.sequences.base import Frame
-from fvslam_graph.vo.scale import MetricMap
+from fvslam_graph.core.inverse_depths import MetricMap
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.tracks import Association
 
 MEMORY = 3.0  # seconds for which a lost reference is looked for,
 REMEMBERED = 2  # and so many of them

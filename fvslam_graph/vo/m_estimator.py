@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
 
 CELLS = (8, 6)  # of the image, within which tracks are taken to err alike: blur, rolling shutter, calibration
 LEAST_CURVATURE = 0.1  # of a loss, as a share of what least squares would have with its weights

@@ -8,8 +8,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.config import VoSettings
-from fvslam_graph.estimates import GaussianPose, LogScale
+from fvslam_graph.core.config import VoSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
 
 UNKNOWN_VELOCITY = (1.0, 10.0)  # rad/s, m/s, standard deviations before anything was measured
 PRIOR_SAMPLES = 20  # for which the settings stand among the accelerations of the run

@@ -11,27 +11,29 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import Config, ScaleSource
-from fvslam_graph.estimates import GaussianPose, LogScale, ScaledPose, ScaleStep
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import Config, ScaleSource
+from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale, ScaledPose
+from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
+from fvslam_graph.core.sequence import Frame, Ground
+from fvslam_graph.core.stopwatch import Stopwatch
+from fvslam_graph.core.tracks import Association, Tracks
+from fvslam_graph.core.trajectory import Status
+from fvslam_graph.core.vo_estimate import ScaleStep, VoEstimate
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.features.tracks import Association, Tracks
-from fvslam_graph.sequences.base import Frame, Ground
-from fvslam_graph.stopwatch import Stopwatch
-from fvslam_graph.trajectory import Status
-from fvslam_graph.vo.depth import InverseDepths, triangulate, typical_depth
+from fvslam_graph.vo.depth import triangulate, typical_depth
 from fvslam_graph.vo.epipolar import rays
-from fvslam_graph.vo.estimate import VoEstimate, metric_jacobian, metric_pose
 from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.lost_references import LostReference, LostReferences
+from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.plausibility import Plausibility
 from fvslam_graph.vo.rotation import fit_rotation
-from fvslam_graph.vo.scale import MetricMap, MetricScale
+from fvslam_graph.vo.scale import MetricScale
 from fvslam_graph.vo.two_view import estimate_two_view
 
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.

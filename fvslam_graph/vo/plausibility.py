@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.gaussian_pose import GaussianPose
 
 GATE = 225.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted,
 AGREE = 22.458  # but once in doubt, less: 99.9 % quantile of the chi-square distribution with six degrees of freedom

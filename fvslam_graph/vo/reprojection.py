@@ -8,9 +8,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.features.tracks import Tracks
-from fvslam_graph.vo.depth import InverseDepths
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.tracks import Tracks
 
 NEAREST = 0.05  # times as far away as in the reference: nearer than that, nothing is followed
 

@@ -4,43 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.config import ScaleSettings, ScaleSource
-from fvslam_graph.errors import ConfigError
-from fvslam_graph.estimates import VAGUE, LogScale, ScaleStep
-from fvslam_graph.sequences.base import Frame
-from fvslam_graph.vo.depth import InverseDepths
+from fvslam_graph.core.config import ScaleSettings, ScaleSource
+from fvslam_graph.core.errors import ConfigError
+from fvslam_graph.core.gaussian_pose import VAGUE, LogScale
+from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.vo_estimate import ScaleStep
 from fvslam_graph.vo.ground import GroundAligner
 from fvslam_graph.vo.scale_filter import ScaleFilter
 from fvslam_graph.vo.two_view import TwoView
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
 MIN_COMMON = 10  # tracks of known depth that tell a scale
-
-
-@dataclass(frozen=True)
-class MetricMap:
-    """Points of known depth in a reference frame.
-
-    Attributes:
-        depths: Their inverse depths, 1/metres.
-        variance: Of the logarithm of the scale that all depths share.
-    """
-
-    depths: InverseDepths
-    variance: float
-
-    def __len__(self) -> int:
-        return len(self.depths)
-
-    @classmethod
-    def empty(cls) -> MetricMap:
-        """A map without points."""
-        return cls(InverseDepths.none(), 0.0)
 
 
 class MetricScale:

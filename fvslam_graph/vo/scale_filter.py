@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from fvslam_graph.config import ScaleSettings
-from fvslam_graph.estimates import LogScale
+from fvslam_graph.core.config import ScaleSettings
+from fvslam_graph.core.gaussian_pose import LogScale
 
 GATE = 15.1  # squared deviations: chi-square with one degree of freedom is beyond it once in ten thousand
 

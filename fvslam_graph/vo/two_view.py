@@ -11,10 +11,11 @@ import numpy as np
 import poselib
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import VoSettings
-from fvslam_graph.features.tracks import Tracks
-from fvslam_graph.vo.depth import InverseDepths, triangulate
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import VoSettings
+from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import Rays, calibration_jacobian, epipolar_distance, rays
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 

@@ -2,9 +2,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import ResultsError, TrajectoryError
+from fvslam_graph.core.errors import ResultsError, TrajectoryError
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.association import Association, associate, load_trajectory
-from fvslam_graph.trajectory import Trajectory
 
 
 def straight(stamps: np.ndarray) -> Trajectory:

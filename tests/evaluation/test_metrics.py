@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from evo.tools.file_interface import load_res_file
 
-from fvslam_graph.errors import ResultsError, TrajectoryError
+from fvslam_graph.core.errors import ResultsError, TrajectoryError
+from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import evaluate
 from fvslam_graph.evaluation.runs import evaluate_run, evaluation_of
 from fvslam_graph.run_folder import read_run
-from fvslam_graph.trajectory import Status, Trajectory
 
 from .conftest import WORLD_T_START, MakeRun, drive
 

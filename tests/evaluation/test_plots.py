@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import ResultsError
+from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.evaluation.plots import level_axes, plot_runs
 from fvslam_graph.run_folder import read_run
 

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
-from fvslam_graph.errors import ResultsError
+from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.evaluation.report import COLUMNS, runs_table, summary_table
 from fvslam_graph.evaluation.runs import evaluate_run
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fvslam_graph.config import FeatureSettings
+from fvslam_graph.core.config import FeatureSettings
 from fvslam_graph.features.detection import BORDER, PER_CELL
 from fvslam_graph.features.detection import detect as detect_in
 from fvslam_graph.features.texture import Texture

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.config import FeatureSettings
+from fvslam_graph.core.config import FeatureSettings
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.exposure import exposed, exposure_change, reduced
 from fvslam_graph.features.klt import KltTracker
-from fvslam_graph.features.tracks import Tracks
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(0.7, 0.0), (0.84, 45.0), (1.1, -30.0), (1.0, 20.0)])

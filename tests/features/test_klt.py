@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.config import FeatureSettings
+from fvslam_graph.core.config import FeatureSettings
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.detection import BORDER
 from fvslam_graph.features.klt import KltTracker
-from fvslam_graph.features.tracks import Tracks
 
 
 @pytest.fixture

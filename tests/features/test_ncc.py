@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.config import FeatureSettings, load_config
+from fvslam_graph.core.config import FeatureSettings, load_config
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.ncc import NccMatcher
-from fvslam_graph.features.tracks import Tracks
 
 SETTINGS = load_config("paper").features
 

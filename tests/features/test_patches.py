@@ -5,7 +5,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
 from fvslam_graph.features.patches import REACH, SIDE, align, cut_tiles, search, view_change, warp
 
 CAMERA = Camera(320, 240, 250.0, 240.0, 159.5, 119.5)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.scene_tracker import SceneTracker
-from fvslam_graph.features.tracks import Tracks
 from fvslam_graph.sequences.points import frame_number, simulate_drive
 
 

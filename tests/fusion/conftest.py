@@ -7,9 +7,11 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, OdometryStep, Views
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.sequences.points import PointScene, simulate_drive
 

@@ -6,9 +6,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera, Distortion
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, OdometryStep
+from fvslam_graph.core.camera import Camera, Distortion
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.calibration import CALIBRATION, SelfCalibration, is_camera
 from fvslam_graph.fusion.factors import (
     LandmarkFactors,

@@ -4,9 +4,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.fusion.calibration import CALIBRATION
 from fvslam_graph.fusion.factors import (
     LandmarkFactors,

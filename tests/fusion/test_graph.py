@@ -6,14 +6,15 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.errors import EstimationError
-from fvslam_graph.estimates import GaussianPose, OdometryStep
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.errors import EstimationError
+from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.calibration import CALIBRATION
 from fvslam_graph.fusion.factors import LandmarkFactors, is_landmark, landmark_key, pose_key, position_factor
 from fvslam_graph.fusion.graph import Graph
-from fvslam_graph.fusion.graph_files import FACTORS, G2O, LANDMARKS_PLY, VALUES
 from fvslam_graph.fusion.solver import Solver
 
 from .conftest import MOTION, PIXEL, error_of

@@ -4,12 +4,14 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose, OdometryStep, Views
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.factors import position_factor
 from fvslam_graph.fusion.graph_fusion import GraphFusion
-from fvslam_graph.sequences.base import Frame
 
 CAMERA = Camera(640, 480, 450.0, 450.0, 319.5, 239.5)
 NOTHING = Views(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))

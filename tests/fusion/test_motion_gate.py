@@ -4,8 +4,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.fusion.motion_gate import MIN_LANDMARKS, contradiction
 
 CAMERA = Camera(640, 480, 450.0, 440.0, 319.5, 239.5)

@@ -4,9 +4,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import Views
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.slam_estimate import Views
 from fvslam_graph.fusion.newcomers import Newcomers
 
 CAMERA = Camera(640, 480, 450.0, 450.0, 319.5, 239.5)

@@ -4,7 +4,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.estimates import GaussianPose, OdometryStep
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 

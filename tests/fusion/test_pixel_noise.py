@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import GraphSettings
+from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.fusion.factors import LandmarkFactors
 from fvslam_graph.fusion.pixel_noise import PixelNoise
 from fvslam_graph.sequences.points import simulate_drive

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.fusion.average import Average
 from fvslam_graph.fusion.intersection import Intersection
 

@@ -8,16 +8,18 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GraphSettings, ScaleSettings
-from fvslam_graph.estimates import GaussianPose, LogScale, OdometryStep, ScaleStep, Views
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GraphSettings, ScaleSettings
+from fvslam_graph.core.frame_result import FACTORS, G2O, VALUES
+from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.vo_estimate import OdometryStep, ScaleStep
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.fusion.factors import length_factor, motion_factor, pose_key, position_factor
 from fvslam_graph.fusion.graph import Graph
-from fvslam_graph.fusion.graph_files import FACTORS, G2O, VALUES
 from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.fusion.scale_chain import LENGTH_SIGMA, ScaleChain, scale_key
-from fvslam_graph.sequences.base import Frame
 from fvslam_graph.vo.scale_filter import ScaleFilter
 
 CAMERA = Camera(width=640, height=480, fx=400, fy=400, cx=320, cy=240)

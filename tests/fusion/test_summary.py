@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import GraphSettings
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.fusion.calibration import CALIBRATION
 from fvslam_graph.fusion.factors import LandmarkFactors, landmark_key, motion_factor, pose_factor, pose_key
 from fvslam_graph.fusion.sightings import Sightings

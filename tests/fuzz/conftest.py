@@ -8,13 +8,13 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import load_config
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.pipeline import estimate, facts
 from fvslam_graph.run_folder import RunWriter
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.oxts import EARTH_RADIUS
 from fvslam_graph.sequences.synthetic import synthetic_sequence
-from fvslam_graph.trajectory import Trajectory
 
 FRAMES, WIDTH, HEIGHT, FOCAL = 5, 96, 72, 72.0
 START = 1_403_715_273_262_142_976  # ns

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera, Distortion
-from fvslam_graph.errors import CameraError
+from fvslam_graph.core.camera import Camera, Distortion
+from fvslam_graph.core.errors import CameraError
 from fvslam_graph.sequences.calibration import read_calibration
 
 PLAIN = """\

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import SequenceError
+from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.sequences.files import image_files, numbered_images, ranges, stamps_in_names
 
 

@@ -3,7 +3,7 @@ import os
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import CameraError, FvslamError, SequenceError, TrajectoryError
+from fvslam_graph.core.errors import CameraError, FvslamError, SequenceError, TrajectoryError
 from fvslam_graph.sequences.opening import open_sequence
 
 

@@ -5,8 +5,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera, Distortion
-from fvslam_graph.errors import CameraError, SequenceError
+from fvslam_graph.core.camera import Camera, Distortion
+from fvslam_graph.core.errors import CameraError, SequenceError
 from fvslam_graph.sequences.images import ImageFiles, decode, eight_bits
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import CameraError, SequenceError, TrajectoryError
+from fvslam_graph.core.errors import CameraError, SequenceError, TrajectoryError
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.oxts import EARTH_RADIUS
 

@@ -3,8 +3,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera, Distortion
-from fvslam_graph.errors import CameraError, SequenceError, TrajectoryError
+from fvslam_graph.core.camera import Camera, Distortion
+from fvslam_graph.core.errors import CameraError, SequenceError, TrajectoryError
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.oxts import EARTH_RADIUS
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Distortion
-from fvslam_graph.errors import SequenceError
+from fvslam_graph.core.camera import Distortion
+from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.sequences import images
 from fvslam_graph.sequences.opening import FORMATS, open_sequence
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import SequenceError
+from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.sequences.oxts import EARTH_RADIUS, mercator, packet_poses, read_timestamps, seconds_since
 
 

@@ -4,11 +4,11 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.errors import SequenceError
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.points import PointScene, simulate, simulate_drive, simulate_flight, within
 from fvslam_graph.sequences.worlds.drive import drive_motion
-from fvslam_graph.trajectory import Trajectory
 
 CAMERA = Camera(640, 480, 500, 500, 319.5, 239.5)
 SCENES = pytest.mark.parametrize("make", [simulate_drive, simulate_flight])

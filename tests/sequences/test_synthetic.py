@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import SequenceError
-from fvslam_graph.sequences.base import Sequence
+from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.sequences.synthetic import open_synthetic, synthetic_sequence
 
 SMALL = {"uav": (160, 120), "drive": (310, 94)}

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
 from fvslam_graph.sequences.worlds.boxes import Box
 from fvslam_graph.sequences.worlds.panels import Panel, paint, paint_depth
 from fvslam_graph.sequences.worlds.patterns import Canvas, noise

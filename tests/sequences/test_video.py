@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import CameraError, SequenceError
+from fvslam_graph.core.errors import CameraError, SequenceError
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.video import read
 

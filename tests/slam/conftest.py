@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
 from fvslam_graph.slam.covariances import symmetric
 from fvslam_graph.slam.initialisation import equal_depths, with_new_landmarks
 from fvslam_graph.slam.state import State

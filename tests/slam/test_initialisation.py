@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvslam_graph.features.known_points import KnownPoints
+from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.slam.initialisation import depths_from_map, equal_depths, known_depths, with_new_landmarks
 from fvslam_graph.slam.measurement import predict_pixels
 from fvslam_graph.slam.state import SCALE

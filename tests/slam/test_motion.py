@@ -4,8 +4,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import SlamSettings
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.config import SlamSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.slam.motion import (
     compose,
     last_motion,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvslam_graph.config import SlamSettings
+from fvslam_graph.core.config import SlamSettings
 from fvslam_graph.slam.measurement import predict_pixels
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
 

@@ -7,16 +7,16 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import SlamSettings
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.config import SlamSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.slam_estimate import Outcome
+from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.nees import nees, nees_band
 from fvslam_graph.monte_carlo import frame_of, pose_errors, run_vslam
-from fvslam_graph.sequences.base import Frame
 from fvslam_graph.sequences.points import simulate_drive, simulate_flight
-from fvslam_graph.slam.estimate import Outcome
 from fvslam_graph.slam.scene_finder import SceneFinder, known_points
 from fvslam_graph.slam.vslam import VSlam
-from fvslam_graph.trajectory import Status
 
 SCENES = {"drive": simulate_drive, "flight": simulate_flight}
 NOISY = SlamSettings(pixel_sigma=0.5)

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fvslam_graph.files import file_name
+from fvslam_graph.core.files import file_name
 from fvslam_graph.study.carry_out import carry_out
 from fvslam_graph.study.declaration import Study
 

@@ -6,7 +6,7 @@ import textwrap
 
 import pytest
 
-from fvslam_graph.errors import StudyError
+from fvslam_graph.core.errors import StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study import execution
 from fvslam_graph.study.execution import execute_all

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import TrajectoryError
+from fvslam_graph.core.errors import TrajectoryError
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.study.external import external_row, external_run
-from fvslam_graph.trajectory import Trajectory
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from fvslam_graph.errors import SequenceError
+from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.run_folder import read_run
 from fvslam_graph.study import job as job_module

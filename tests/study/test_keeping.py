@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from fvslam_graph.errors import ResultsError, StudyError
+from fvslam_graph.core.errors import ResultsError, StudyError
 from fvslam_graph.ownership import Kind, claimed
 from fvslam_graph.run_folder import read_run
 from fvslam_graph.study import carry_out as module
@@ -140,7 +140,7 @@ def test_other_systems_are_looked_at_first(drive, tmp_path, monkeypatch, unplott
 
 
 def test_what_a_run_lacks_is_said(job, tmp_path, monkeypatch):
-    from fvslam_graph.errors import EstimationError
+    from fvslam_graph.core.errors import EstimationError
     from fvslam_graph.fusion.graph import Graph
     from fvslam_graph.study.outcome import Outcome
 

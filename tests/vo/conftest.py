@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import ScaleSource, load_config
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import ScaleSource, load_config
+from fvslam_graph.core.sequence import Frame, Sequence
+from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.core.trajectory import Trajectory
+from fvslam_graph.core.vo_estimate import VoEstimate
 from fvslam_graph.evaluation.nees import nees
-from fvslam_graph.features.tracks import Tracks
-from fvslam_graph.sequences.base import Frame, Sequence
 from fvslam_graph.sequences.points import simulate, within
 from fvslam_graph.sequences.synthetic import synthetic_sequence
-from fvslam_graph.trajectory import Trajectory
-from fvslam_graph.vo.estimate import VoEstimate
 from fvslam_graph.vo.odometry import VisualOdometry
 
 

@@ -4,7 +4,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.vo.depth import PIXEL_NOISE, InverseDepths, triangulate
+from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.vo.depth import PIXEL_NOISE, triangulate
 from fvslam_graph.vo.epipolar import rays
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.6, -0.2, 0.5]))

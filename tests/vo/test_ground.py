@@ -6,9 +6,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera
-from fvslam_graph.config import GroundSettings
-from fvslam_graph.vo.depth import InverseDepths
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import GroundSettings
+from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground import GroundAligner, GroundPlane
 from fvslam_graph.vo.two_view import TwoView

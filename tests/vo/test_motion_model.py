@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import VoSettings
+from fvslam_graph.core.config import VoSettings
 from fvslam_graph.vo.motion_model import ConstantVelocity
 
 SETTINGS = VoSettings()

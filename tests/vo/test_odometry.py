@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.trajectory import Status
+from fvslam_graph.core.trajectory import Status
 
 PRESETS = pytest.mark.parametrize("preset", ["tuned", "paper"])
 

@@ -7,11 +7,11 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import load_config
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.trajectory import Status
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.trajectory import Status
 from fvslam_graph.vo.odometry import PATIENCE
 
 

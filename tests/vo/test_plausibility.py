@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.estimates import GaussianPose
+from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.vo.plausibility import AGED, INSISTENCE, Plausibility
 
 ACCELERATIONS = np.repeat([0.5, 2.0], 3)  # rad/s^2, m/s^2

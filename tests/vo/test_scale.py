@@ -6,13 +6,14 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.config import ScaleSettings, ScaleSource
-from fvslam_graph.estimates import LogScale
-from fvslam_graph.sequences.base import Frame
-from fvslam_graph.vo.depth import InverseDepths, triangulate
+from fvslam_graph.core.config import ScaleSettings, ScaleSource
+from fvslam_graph.core.gaussian_pose import LogScale
+from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground import GroundPlane
-from fvslam_graph.vo.scale import MIN_COMMON, ORACLE_VARIANCE, MetricMap, MetricScale
+from fvslam_graph.vo.scale import MIN_COMMON, ORACLE_VARIANCE, MetricScale
 from fvslam_graph.vo.two_view import TwoView
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.9, -0.3, 1.2]))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.config import ScaleSettings
-from fvslam_graph.estimates import LogScale
+from fvslam_graph.core.config import ScaleSettings
+from fvslam_graph.core.gaussian_pose import LogScale
 from fvslam_graph.vo.scale_filter import ScaleFilter
 
 SETTINGS = ScaleSettings(plane_sigma=0.02, shared_sigma=0.04, shared_keyframes=5.0, map_sigma=0.006)

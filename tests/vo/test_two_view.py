@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fvslam_graph.config import VoSettings
+from fvslam_graph.core.config import VoSettings
+from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
-from fvslam_graph.features.tracks import Tracks
-from fvslam_graph.vo.depth import InverseDepths
 from fvslam_graph.vo.epipolar import epipolar_distance, rays
 from fvslam_graph.vo.two_view import estimate_two_view
 

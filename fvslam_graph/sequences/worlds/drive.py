@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.random_streams import stream
 from fvslam_graph.sequences.worlds.motion import Motion, knots, wobble
 from fvslam_graph.sequences.worlds.ripmap import Grey
 from fvslam_graph.sequences.worlds.roadside import Solid
-from fvslam_graph.sequences.worlds.streams import stream
 from fvslam_graph.sequences.worlds.street import Street
 from fvslam_graph.sequences.worlds.waves import Waves
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Image
+from fvslam_graph.core.camera import Image
+from fvslam_graph.core.random_streams import stream
 from fvslam_graph.sequences.worlds.ripmap import Grey
-from fvslam_graph.sequences.worlds.streams import stream
 from fvslam_graph.sequences.worlds.waves import Waves
 
 _JUMP = 4.7  # seconds between sudden changes of exposure

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
-from fvslam_graph.sequences.base import Ground
+from fvslam_graph.core.sequence import Ground
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.worlds.waves import Waves
-from fvslam_graph.trajectory import Trajectory
 
 RATE = 10.0  # Hz, of the images
 GRAVITY = np.array([0.0, 0.0, -9.81])

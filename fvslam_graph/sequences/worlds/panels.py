@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
 from fvslam_graph.sequences.worlds.ripmap import Grey, RipMap
 from fvslam_graph.sequences.worlds.view import fade, length
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Image
+from fvslam_graph.core.camera import Image
 
 Grey = NDArray[np.float32]
 

@@ -10,12 +10,12 @@ import cv2
 import gtsam
 import numpy as np
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.random_streams import stream
 from fvslam_graph.sequences.worlds.panels import FADE, Panel, paint, paint_depth
 from fvslam_graph.sequences.worlds.patterns import noise
 from fvslam_graph.sequences.worlds.ripmap import Grey, RipMap
 from fvslam_graph.sequences.worlds.roadside import Roadside, Solid
-from fvslam_graph.sequences.worlds.streams import stream
 from fvslam_graph.sequences.worlds.street_textures import GROUND_WIDTH, street_ground
 from fvslam_graph.sequences.worlds.view import fade, length, rays
 from fvslam_graph.sequences.worlds.waves import Waves

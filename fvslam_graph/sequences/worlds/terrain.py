@@ -8,12 +8,12 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.random_streams import stream
 from fvslam_graph.sequences.worlds.boxes import Box
 from fvslam_graph.sequences.worlds.country_textures import country
 from fvslam_graph.sequences.worlds.relief import PERIOD, Relief
 from fvslam_graph.sequences.worlds.ripmap import Grey, RipMap
-from fvslam_graph.sequences.worlds.streams import stream
 from fvslam_graph.sequences.worlds.street_textures import CAR, CAR_ENDS, car_paint
 from fvslam_graph.sequences.worlds.view import fade, length, rays
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.random_streams import stream
 from fvslam_graph.sequences.worlds.boxes import Box
 from fvslam_graph.sequences.worlds.motion import Motion, knots, wobble
 from fvslam_graph.sequences.worlds.panels import paint
 from fvslam_graph.sequences.worlds.ripmap import Grey
-from fvslam_graph.sequences.worlds.streams import stream
 from fvslam_graph.sequences.worlds.terrain import Terrain
 from fvslam_graph.sequences.worlds.waves import Waves
 

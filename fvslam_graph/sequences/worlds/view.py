@@ -5,7 +5,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from fvslam_graph.camera import Camera
+from fvslam_graph.core.camera import Camera
 from fvslam_graph.sequences.worlds.ripmap import Grey
 
 

@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.estimates import LogScale
-from fvslam_graph.vo.estimate import metric_pose
+from fvslam_graph.core.gaussian_pose import LogScale
+from fvslam_graph.vo.metric_pose import metric_pose
 from fvslam_graph.vo.two_view import TwoView
 
 ROTATION = gtsam.Rot3.Expmap(np.array([0.3, -0.2, 0.5]))

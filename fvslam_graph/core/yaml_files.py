@@ -8,8 +8,8 @@ from typing import Any
 
 import yaml
 
-from fvslam_graph.errors import FvslamError
-from fvslam_graph.text_files import read_text
+from fvslam_graph.core.errors import FvslamError
+from fvslam_graph.core.text_files import read_text
 
 MAX_SIZE = 1_000_000  # bytes
 

@@ -1,7 +1,7 @@
 import pytest
 
-from fvslam_graph import stopwatch
-from fvslam_graph.stopwatch import Stopwatch
+from fvslam_graph.core import stopwatch
+from fvslam_graph.core.stopwatch import Stopwatch
 
 
 def test_nested_and_repeated_stages(monkeypatch):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fvslam_graph.errors import ResultsError
+from fvslam_graph.core.errors import ResultsError
 
 LONGEST = 80  # characters of a file's name that are those of a label
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fvslam_graph.errors import FvslamError
+from fvslam_graph.core.errors import FvslamError
 
 MAX_SIZE = 50_000_000  # bytes; as words, a table takes twenty times the memory
 OWN_MAX_SIZE = 1_000_000_000  # bytes, of what a long run writes

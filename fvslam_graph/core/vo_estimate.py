@@ -5,16 +5,56 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import GaussianPose, LogScale, OdometryStep, ScaleStep
-from fvslam_graph.features.known_points import KnownPoints
-from fvslam_graph.features.tracks import Tracks
-from fvslam_graph.trajectory import Status
-from fvslam_graph.vo.scale import MetricMap
-from fvslam_graph.vo.two_view import TwoView
+from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
+from fvslam_graph.core.inverse_depths import MetricMap
+from fvslam_graph.core.known_points import KnownPoints
+from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.core.trajectory import Status
+
+
+@dataclass(frozen=True)
+class ScaleStep:
+    """Where the scale of a baseline comes from: what a filter of the scale, or a smoother, needs to know of one step.
+
+    Attributes:
+        length: What odometry makes of it all: log(metres) of the baseline.
+        carried: What the map says, in the scale that the last baseline had; the variance is what the step adds.
+        measured: What the scale source says, with the variance of what is new in it; None where it does not speak.
+        shared: Variance of what the source errs likewise in neighbouring steps,
+        lasting: and the share of this error that lasts to the next step.
+    """
+
+    length: LogScale
+    carried: LogScale
+    measured: LogScale | None = None
+    shared: float = 0.0
+    lasting: float = 0.0
+
+
+@dataclass(frozen=True)
+class OdometryStep:
+    """The motion of one frame by odometry, with all that fusion needs to know of it.
+
+    Attributes:
+        previous: Index of the frame that the motion starts from.
+        prev_T_cur: The motion.
+        scale: What was learnt of its scale; None where it has that of the map in the earlier frame.
+        scale_variance: How much of its covariance is due to the logarithm of the scale; 0 where that is not known.
+        awaited: Frames besides this one and the previous one, against which motions to come may be measured.
+        measured: Whether images tell it; a motion model's has no noise in common with others.
+        by_calibration: (6, 2) how it changes with the logarithm of the focal length and with k1, in its tangent.
+    """
+
+    previous: int
+    prev_T_cur: GaussianPose
+    scale: ScaleStep | None = None
+    scale_variance: float = 0.0
+    awaited: tuple[int, ...] = ()
+    measured: bool = True
+    by_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
 
 
 @dataclass(frozen=True)
@@ -76,27 +116,3 @@ class VoEstimate:
             depths.shared[mine],
             self.map.variance,
         )
-
-
-def metric_pose(two_view: TwoView, scale: LogScale) -> GaussianPose:
-    """The pose prev_T_cur of two views with a scale.
-
-    Its covariance holds what two views tell, and the scale along the baseline.
-    """
-    jacobian = metric_jacobian(two_view, scale)
-    measured = np.zeros((6, 6))
-    measured[:5, :5] = two_view.covariance
-    measured[5, 5] = scale.variance
-    covariance: NDArray[np.float64] = jacobian @ measured @ jacobian.T
-    prev_T_cur = gtsam.Pose3(two_view.rotation, scale.metres * two_view.direction)
-    return GaussianPose(prev_T_cur, (covariance + covariance.T) / 2)
-
-
-def metric_jacobian(two_view: TwoView, scale: LogScale) -> NDArray[np.float64]:
-    """How the pose changes with what two views tell, and with the logarithm of the scale, (6, 6)."""
-    cur_R_prev = two_view.rotation.matrix().T
-    jacobian = np.zeros((6, 6))
-    jacobian[:3, :3] = np.eye(3)
-    jacobian[3:, 3:5] = scale.metres * cur_R_prev @ gtsam.Unit3(two_view.direction).basis()
-    jacobian[3:, 5] = scale.metres * cur_R_prev @ two_view.direction
-    return jacobian

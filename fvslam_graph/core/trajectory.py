@@ -12,8 +12,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import TrajectoryError
-from fvslam_graph.trajectory_files import Layout, read_rows
+from fvslam_graph.core.errors import TrajectoryError
+from fvslam_graph.core.trajectory_files import Layout, read_rows
 
 if TYPE_CHECKING:
     from evo.core.trajectory import PoseTrajectory3D

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.estimates import GaussianPose, ScaledPose
+from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 
 
 def some_covariance(seed: int, size: float) -> np.ndarray:

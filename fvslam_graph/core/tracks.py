@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Image
+from fvslam_graph.core.camera import Image
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
 
-from fvslam_graph.complaints import complaint
-from fvslam_graph.errors import ConfigError
-from fvslam_graph.yaml_files import parse_yaml, read_yaml_mapping
+from fvslam_graph.core.errors import ConfigError
+from fvslam_graph.core.validation import complaint
+from fvslam_graph.core.yaml_files import parse_yaml, read_yaml_mapping
 
 
 class _Group(BaseModel):

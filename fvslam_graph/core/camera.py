@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import CameraError
+from fvslam_graph.core.errors import CameraError
 
 Image = NDArray[np.uint8]
 

@@ -9,9 +9,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.estimates import GaussianPose, Views
-from fvslam_graph.slam.landmarks import Array
-from fvslam_graph.trajectory import Status
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.trajectory import Status
+
+Array = NDArray[np.float64]
 
 
 class Outcome(IntEnum):
@@ -78,6 +79,23 @@ class Landmarks:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+
+@dataclass(frozen=True)
+class Views:
+    """What one image shows of N landmarks.
+
+    Attributes:
+        ids: (N,) the same for the same landmark at all times.
+        pixels: (N, 2) where they are.
+        points: (N, 3) where they are in the camera as visual SLAM has it, metres; NaN where it has dropped them.
+        covariances: (N, 3, 3) of the points.
+    """
+
+    ids: NDArray[np.int64]
+    pixels: NDArray[np.float64]
+    points: NDArray[np.float64]
+    covariances: NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Self
 
 import gtsam
@@ -128,62 +128,3 @@ class LogScale:
     def metres(self) -> float:
         """Length of the baseline."""
         return math.exp(self.mean)
-
-
-@dataclass(frozen=True)
-class ScaleStep:
-    """Where the scale of a baseline comes from: what a filter of the scale, or a smoother, needs to know of one step.
-
-    Attributes:
-        length: What odometry makes of it all: log(metres) of the baseline.
-        carried: What the map says, in the scale that the last baseline had; the variance is what the step adds.
-        measured: What the scale source says, with the variance of what is new in it; None where it does not speak.
-        shared: Variance of what the source errs likewise in neighbouring steps,
-        lasting: and the share of this error that lasts to the next step.
-    """
-
-    length: LogScale
-    carried: LogScale
-    measured: LogScale | None = None
-    shared: float = 0.0
-    lasting: float = 0.0
-
-
-@dataclass(frozen=True)
-class OdometryStep:
-    """The motion of one frame by odometry, with all that fusion needs to know of it.
-
-    Attributes:
-        previous: Index of the frame that the motion starts from.
-        prev_T_cur: The motion.
-        scale: What was learnt of its scale; None where it has that of the map in the earlier frame.
-        scale_variance: How much of its covariance is due to the logarithm of the scale; 0 where that is not known.
-        awaited: Frames besides this one and the previous one, against which motions to come may be measured.
-        measured: Whether images tell it; a motion model's has no noise in common with others.
-        by_calibration: (6, 2) how it changes with the logarithm of the focal length and with k1, in its tangent.
-    """
-
-    previous: int
-    prev_T_cur: GaussianPose
-    scale: ScaleStep | None = None
-    scale_variance: float = 0.0
-    awaited: tuple[int, ...] = ()
-    measured: bool = True
-    by_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
-
-
-@dataclass(frozen=True)
-class Views:
-    """What one image shows of N landmarks.
-
-    Attributes:
-        ids: (N,) the same for the same landmark at all times.
-        pixels: (N, 2) where they are.
-        points: (N, 3) where they are in the camera as visual SLAM has it, metres; NaN where it has dropped them.
-        covariances: (N, 3, 3) of the points.
-    """
-
-    ids: NDArray[np.int64]
-    pixels: NDArray[np.float64]
-    points: NDArray[np.float64]
-    covariances: NDArray[np.float64]

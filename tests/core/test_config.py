@@ -4,8 +4,8 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from fvslam_graph.config import Config, ScaleSource, load_config
-from fvslam_graph.errors import ConfigError
+from fvslam_graph.core.config import Config, ScaleSource, load_config
+from fvslam_graph.core.errors import ConfigError
 
 
 def test_presets():

@@ -9,8 +9,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.sequences.base import Frame
-from fvslam_graph.slam.landmarks import Array
+from fvslam_graph.core.sequence import Frame
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.camera import Camera, Distortion, Image, Rectifier
-from fvslam_graph.errors import SequenceError
-from fvslam_graph.trajectory import Trajectory
+from fvslam_graph.core.camera import Camera, Distortion, Image, Rectifier
+from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.trajectory import Trajectory
 
 MOST_DISTORTED = 0.3  # k1; more is no rest that a calibration has left
 

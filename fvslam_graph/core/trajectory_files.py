@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.errors import TrajectoryError
-from fvslam_graph.text_files import read_text
+from fvslam_graph.core.errors import TrajectoryError
+from fvslam_graph.core.text_files import read_text
 
 LARGEST = 200_000_000  # bytes, a million poses and more
 SINCE_1970 = 1e17  # larger stamps are nanoseconds: as seconds, they were older than the universe

@@ -5,8 +5,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.camera import Camera, Distortion, Rectifier
-from fvslam_graph.errors import CameraError
+from fvslam_graph.core.camera import Camera, Distortion, Rectifier
+from fvslam_graph.core.errors import CameraError
 
 PINHOLE = Camera(640, 480, 450.0, 455.0, 318.0, 242.0)
 RADTAN = Camera(  # EuRoC, cam0

@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.errors import TrajectoryError
-from fvslam_graph.trajectory import Trajectory, interpolate
+from fvslam_graph.core.errors import TrajectoryError
+from fvslam_graph.core.trajectory import Trajectory, interpolate
 
 POSE = gtsam.Pose3(gtsam.Rot3.Ypr(0.3, -0.2, 1.1), np.array([1.0, -2.0, 3.0]))
 LINE = "{stamp} 1 2 3 0 0 0 1\n"

@@ -1,0 +1,1 @@
+"""What all parts speak: cameras, trajectories, poses with covariances, frames, settings, errors."""

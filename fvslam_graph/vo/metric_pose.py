@@ -1,0 +1,34 @@
+"""The metric pose that two views and a scale make."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
+from fvslam_graph.vo.two_view import TwoView
+
+
+def metric_pose(two_view: TwoView, scale: LogScale) -> GaussianPose:
+    """The pose prev_T_cur of two views with a scale.
+
+    Its covariance holds what two views tell, and the scale along the baseline.
+    """
+    jacobian = metric_jacobian(two_view, scale)
+    measured = np.zeros((6, 6))
+    measured[:5, :5] = two_view.covariance
+    measured[5, 5] = scale.variance
+    covariance: NDArray[np.float64] = jacobian @ measured @ jacobian.T
+    prev_T_cur = gtsam.Pose3(two_view.rotation, scale.metres * two_view.direction)
+    return GaussianPose(prev_T_cur, (covariance + covariance.T) / 2)
+
+
+def metric_jacobian(two_view: TwoView, scale: LogScale) -> NDArray[np.float64]:
+    """How the pose changes with what two views tell, and with the logarithm of the scale, (6, 6)."""
+    cur_R_prev = two_view.rotation.matrix().T
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, :3] = np.eye(3)
+    jacobian[3:, 3:5] = scale.metres * cur_R_prev @ gtsam.Unit3(two_view.direction).basis()
+    jacobian[3:, 5] = scale.metres * cur_R_prev @ two_view.direction
+    return jacobian
