@@ -14,10 +14,10 @@ from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import SlamEstimate
-from fvslam_graph.features.scene_tracker import SceneTracker
 from fvslam_graph.pipeline import Eyes, estimate
-from fvslam_graph.sequences.points import PointScene
-from fvslam_graph.slam.scene_finder import SceneFinder, known_points
+from fvslam_graph.simulation.points import PointScene
+from fvslam_graph.simulation.scene_finder import SceneFinder, known_points
+from fvslam_graph.simulation.scene_tracker import SceneTracker
 from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.vo.scale import ORACLE_VARIANCE
 

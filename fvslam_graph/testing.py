@@ -16,7 +16,7 @@ from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.results import Run
-from fvslam_graph.sequences.synthetic import synthetic_sequence
+from fvslam_graph.simulation.synthetic import synthetic_sequence
 
 
 def rendered(world: str, **options: Any) -> Sequence:

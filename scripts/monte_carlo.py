@@ -24,7 +24,7 @@ from fvslam_graph.core.config import Mode, SlamSettings, load_config
 from fvslam_graph.evaluation.nees import average_nees, nees
 from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE
 from fvslam_graph.monte_carlo import pose_errors, run, run_vslam
-from fvslam_graph.sequences.points import simulate_drive, simulate_flight
+from fvslam_graph.simulation.points import simulate_drive, simulate_flight
 
 SCENES = {"drive": simulate_drive, "flight": simulate_flight}
 NOISE = 0.5  # pixels

@@ -12,8 +12,8 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from fvslam_graph.cli import main
-from fvslam_graph.sequences import synthetic
-from fvslam_graph.sequences.synthetic import synthetic_sequence
+from fvslam_graph.simulation import synthetic
+from fvslam_graph.simulation.synthetic import synthetic_sequence
 
 pytest_plugins = ["fvslam_graph.testing"]
 

@@ -82,7 +82,7 @@ def open_sequence(
 
 
 def _synthetic(name: str | Path) -> Sequence:
-    from fvslam_graph.sequences.synthetic import open_synthetic  # a renderer that recordings do not need
+    from fvslam_graph.simulation.synthetic import open_synthetic  # a renderer that recordings do not need
 
     return open_synthetic(str(name))
 

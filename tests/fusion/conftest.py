@@ -13,7 +13,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.slam_estimate import Views
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.graph import Graph
-from fvslam_graph.sequences.points import PointScene, simulate_drive
+from fvslam_graph.simulation.points import PointScene, simulate_drive
 
 INTERVAL = 2
 CLEAN = 4  # frames without wrong motions, at the beginning

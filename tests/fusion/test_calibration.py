@@ -19,7 +19,7 @@ from fvslam_graph.fusion.factors import (
     motion_factor,
     pose_key,
 )
-from fvslam_graph.sequences.points import simulate_drive
+from fvslam_graph.simulation.points import simulate_drive
 
 CAMERA = Camera(640, 480, 450.0, 440.0, 319.5, 239.5)
 ROUGH = {"focal_sigma": 0.02, "distortion_sigma": 0.02}

@@ -7,7 +7,7 @@ import pytest
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.fusion.factors import LandmarkFactors
 from fvslam_graph.fusion.pixel_noise import PixelNoise
-from fvslam_graph.sequences.points import simulate_drive
+from fvslam_graph.simulation.points import simulate_drive
 
 from .conftest import PIXEL
 

@@ -13,7 +13,7 @@ from fvslam_graph.fusion.factors import LandmarkFactors, landmark_key, motion_fa
 from fvslam_graph.fusion.sightings import Sightings
 from fvslam_graph.fusion.solver import UNSEEN
 from fvslam_graph.fusion.summary import Summary
-from fvslam_graph.sequences.points import simulate_drive
+from fvslam_graph.simulation.points import simulate_drive
 
 from .conftest import MOTION
 

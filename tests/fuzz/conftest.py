@@ -14,7 +14,7 @@ from fvslam_graph.pipeline import estimate, facts
 from fvslam_graph.run_folder import RunWriter
 from fvslam_graph.sequences.opening import open_sequence
 from fvslam_graph.sequences.oxts import EARTH_RADIUS
-from fvslam_graph.sequences.synthetic import synthetic_sequence
+from fvslam_graph.simulation.synthetic import synthetic_sequence
 
 FRAMES, WIDTH, HEIGHT, FOCAL = 5, 96, 72, 72.0
 START = 1_403_715_273_262_142_976  # ns

@@ -7,8 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from fvslam_graph.sequences import synthetic
-
 CAMERA_YAML = """\
 image_width: 64
 image_height: 48
@@ -16,12 +14,6 @@ camera_matrix: [50.0, 0.0, 31.5, 0.0, 51.0, 23.5, 0.0, 0.0, 1.0]
 distortion_model: none
 distortion_coefficients: []
 """
-
-
-@pytest.fixture(autouse=True)
-def rendered_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Here it is the rendering that is tested: nothing is kept of it."""
-    monkeypatch.setattr(synthetic, "_build", synthetic._build.__wrapped__)
 
 
 @pytest.fixture

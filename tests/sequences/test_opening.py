@@ -137,7 +137,7 @@ def test_synthetic_worlds_are_opened_by_name_and_take_the_same_options(plain_fol
         return open_sequence(plain_folder)
 
     module = types.SimpleNamespace(open_synthetic=open_synthetic)
-    monkeypatch.setitem(sys.modules, "fvslam_graph.sequences.synthetic", module)
+    monkeypatch.setitem(sys.modules, "fvslam_graph.simulation.synthetic", module)
     sequence = open_sequence("synthetic:uav?seed=3&frames=60", frames="0:6", stride=2, camera_height=7.0)
     assert names == ["synthetic:uav?seed=3&frames=60"]
     assert len(sequence) == 3 and sequence.frame(0).height == 7.0

@@ -5,7 +5,7 @@ import pytest
 
 from fvslam_graph.core.config import FeatureSettings, SlamSettings
 from fvslam_graph.core.landmark_finder import Search
-from fvslam_graph.sequences.synthetic import synthetic_sequence
+from fvslam_graph.simulation.synthetic import synthetic_sequence
 from fvslam_graph.slam.patch_finder import PatchFinder
 
 DISTANCE = 20.0  # metres, about the height of the flight

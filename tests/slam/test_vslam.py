@@ -14,8 +14,8 @@ from fvslam_graph.core.slam_estimate import Outcome
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.nees import nees, nees_band
 from fvslam_graph.monte_carlo import frame_of, pose_errors, run_vslam
-from fvslam_graph.sequences.points import simulate_drive, simulate_flight
-from fvslam_graph.slam.scene_finder import SceneFinder, known_points
+from fvslam_graph.simulation.points import simulate_drive, simulate_flight
+from fvslam_graph.simulation.scene_finder import SceneFinder, known_points
 from fvslam_graph.slam.vslam import VSlam
 
 SCENES = {"drive": simulate_drive, "flight": simulate_flight}

@@ -17,8 +17,8 @@ from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.core.vo_estimate import VoEstimate
 from fvslam_graph.evaluation.nees import nees
-from fvslam_graph.sequences.points import simulate, within
-from fvslam_graph.sequences.synthetic import synthetic_sequence
+from fvslam_graph.simulation.points import simulate, within
+from fvslam_graph.simulation.synthetic import synthetic_sequence
 from fvslam_graph.vo.odometry import VisualOdometry
 
 

@@ -14,9 +14,9 @@ from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.random_streams import stream
 from fvslam_graph.core.sequence import Ground, Sequence
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.sequences.worlds.drive import KITTI, drive_middle, drive_motion
-from fvslam_graph.sequences.worlds.motion import RATE, Motion
-from fvslam_graph.sequences.worlds.uav import DEPRESSION, View, uav_camera, uav_motion
+from fvslam_graph.simulation.worlds.drive import KITTI, drive_middle, drive_motion
+from fvslam_graph.simulation.worlds.motion import RATE, Motion
+from fvslam_graph.simulation.worlds.uav import DEPRESSION, View, uav_camera, uav_motion
 
 Array = NDArray[np.float64]
 Surface = Callable[[Array, Array, np.random.Generator], Array]

@@ -7,11 +7,11 @@ from scipy.interpolate import CubicSpline
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.random_streams import stream
-from fvslam_graph.sequences.worlds.motion import Motion, knots, wobble
-from fvslam_graph.sequences.worlds.ripmap import Grey
-from fvslam_graph.sequences.worlds.roadside import Solid
-from fvslam_graph.sequences.worlds.street import Street
-from fvslam_graph.sequences.worlds.waves import Waves
+from fvslam_graph.simulation.worlds.motion import Motion, knots, wobble
+from fvslam_graph.simulation.worlds.ripmap import Grey
+from fvslam_graph.simulation.worlds.roadside import Solid
+from fvslam_graph.simulation.worlds.street import Street
+from fvslam_graph.simulation.worlds.waves import Waves
 
 CAMERA_HEIGHT = 1.65  # metres above the road, as on KITTI's car
 LANE = 1.75  # metres from the middle of the street to that of a lane

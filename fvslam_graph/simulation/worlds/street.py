@@ -12,13 +12,13 @@ import numpy as np
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.random_streams import stream
-from fvslam_graph.sequences.worlds.panels import FADE, Panel, paint, paint_depth
-from fvslam_graph.sequences.worlds.patterns import noise
-from fvslam_graph.sequences.worlds.ripmap import Grey, RipMap
-from fvslam_graph.sequences.worlds.roadside import Roadside, Solid
-from fvslam_graph.sequences.worlds.street_textures import GROUND_WIDTH, street_ground
-from fvslam_graph.sequences.worlds.view import fade, length, rays
-from fvslam_graph.sequences.worlds.waves import Waves
+from fvslam_graph.simulation.worlds.panels import FADE, Panel, paint, paint_depth
+from fvslam_graph.simulation.worlds.patterns import noise
+from fvslam_graph.simulation.worlds.ripmap import Grey, RipMap
+from fvslam_graph.simulation.worlds.roadside import Roadside, Solid
+from fvslam_graph.simulation.worlds.street_textures import GROUND_WIDTH, street_ground
+from fvslam_graph.simulation.worlds.view import fade, length, rays
+from fvslam_graph.simulation.worlds.waves import Waves
 
 _SEGMENT = 10.0  # metres of ground that are straight
 _BEHIND = 12.0  # metres behind the camera where things can begin that are in view

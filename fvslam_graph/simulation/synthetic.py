@@ -13,11 +13,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from fvslam_graph.core.camera import Camera, Image
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.sequences.worlds.drive import DriveWorld
-from fvslam_graph.sequences.worlds.effects import Effects
-from fvslam_graph.sequences.worlds.motion import RATE, Motion
-from fvslam_graph.sequences.worlds.ripmap import Grey
-from fvslam_graph.sequences.worlds.uav import UavWorld, View
+from fvslam_graph.simulation.worlds.drive import DriveWorld
+from fvslam_graph.simulation.worlds.effects import Effects
+from fvslam_graph.simulation.worlds.motion import RATE, Motion
+from fvslam_graph.simulation.worlds.ripmap import Grey
+from fvslam_graph.simulation.worlds.uav import UavWorld, View
 
 FORMAT = "synthetic"
 Side = Annotated[int, Field(ge=32, le=4096)]

@@ -10,12 +10,12 @@ from scipy.interpolate import CubicSpline
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.random_streams import stream
-from fvslam_graph.sequences.worlds.boxes import Box
-from fvslam_graph.sequences.worlds.motion import Motion, knots, wobble
-from fvslam_graph.sequences.worlds.panels import paint
-from fvslam_graph.sequences.worlds.ripmap import Grey
-from fvslam_graph.sequences.worlds.terrain import Terrain
-from fvslam_graph.sequences.worlds.waves import Waves
+from fvslam_graph.simulation.worlds.boxes import Box
+from fvslam_graph.simulation.worlds.motion import Motion, knots, wobble
+from fvslam_graph.simulation.worlds.panels import paint
+from fvslam_graph.simulation.worlds.ripmap import Grey
+from fvslam_graph.simulation.worlds.terrain import Terrain
+from fvslam_graph.simulation.worlds.waves import Waves
 
 ALTITUDE = 27.0  # metres above the mean plane, on average
 SPEED = 12.8  # m/s, on average

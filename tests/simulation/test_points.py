@@ -7,8 +7,8 @@ import pytest
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.sequences.points import PointScene, simulate, simulate_drive, simulate_flight, within
-from fvslam_graph.sequences.worlds.drive import drive_motion
+from fvslam_graph.simulation.points import PointScene, simulate, simulate_drive, simulate_flight, within
+from fvslam_graph.simulation.worlds.drive import drive_motion
 
 CAMERA = Camera(640, 480, 500, 500, 319.5, 239.5)
 SCENES = pytest.mark.parametrize("make", [simulate_drive, simulate_flight])

@@ -6,7 +6,7 @@ import numpy as np
 
 from fvslam_graph.core.camera import Image
 from fvslam_graph.core.tracks import Tracks
-from fvslam_graph.sequences.points import PointScene, frame_number
+from fvslam_graph.simulation.points import PointScene, frame_number
 
 
 class SceneTracker:

@@ -8,7 +8,7 @@ import pytest
 
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.sequences.synthetic import open_synthetic, synthetic_sequence
+from fvslam_graph.simulation.synthetic import open_synthetic, synthetic_sequence
 
 SMALL = {"uav": (160, 120), "drive": (310, 94)}
 WORLDS = pytest.mark.parametrize("world", ["uav", "drive"])

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Image
 from fvslam_graph.core.random_streams import stream
-from fvslam_graph.sequences.worlds.ripmap import Grey
-from fvslam_graph.sequences.worlds.waves import Waves
+from fvslam_graph.simulation.worlds.ripmap import Grey
+from fvslam_graph.simulation.worlds.waves import Waves
 
 _JUMP = 4.7  # seconds between sudden changes of exposure
 

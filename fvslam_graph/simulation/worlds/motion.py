@@ -12,7 +12,7 @@ from scipy.interpolate import PPoly
 
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.sequences.worlds.waves import Waves
+from fvslam_graph.simulation.worlds.waves import Waves
 
 RATE = 10.0  # Hz, of the images
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.tracks import Tracks
-from fvslam_graph.features.scene_tracker import SceneTracker
-from fvslam_graph.sequences.points import frame_number, simulate_drive
+from fvslam_graph.simulation.points import frame_number, simulate_drive
+from fvslam_graph.simulation.scene_tracker import SceneTracker
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from fvslam_graph.sequences.worlds.panels import Panel, Vector
-from fvslam_graph.sequences.worlds.ripmap import RipMap
+from fvslam_graph.simulation.worlds.panels import Panel, Vector
+from fvslam_graph.simulation.worlds.ripmap import RipMap
 
 Anchor = tuple[float, float]
 

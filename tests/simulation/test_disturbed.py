@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvslam_graph.sequences.disturbed import DARKNESS, DISTURBANCES, LENGTH
-from fvslam_graph.sequences.synthetic import synthetic_sequence
+from fvslam_graph.simulation.disturbed import DARKNESS, DISTURBANCES, LENGTH
+from fvslam_graph.simulation.synthetic import synthetic_sequence
 
 FIRST, FRAMES = 10, 45
 

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.sequences.worlds.ripmap import Grey
+from fvslam_graph.simulation.worlds.ripmap import Grey
 
 
 def rays(camera: Camera, rotation: gtsam.Rot3) -> tuple[Grey, Grey, Grey]:

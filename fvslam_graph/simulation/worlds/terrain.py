@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.random_streams import stream
-from fvslam_graph.sequences.worlds.boxes import Box
-from fvslam_graph.sequences.worlds.country_textures import country
-from fvslam_graph.sequences.worlds.relief import PERIOD, Relief
-from fvslam_graph.sequences.worlds.ripmap import Grey, RipMap
-from fvslam_graph.sequences.worlds.street_textures import CAR, CAR_ENDS, car_paint
-from fvslam_graph.sequences.worlds.view import fade, length, rays
+from fvslam_graph.simulation.worlds.boxes import Box
+from fvslam_graph.simulation.worlds.country_textures import country
+from fvslam_graph.simulation.worlds.relief import PERIOD, Relief
+from fvslam_graph.simulation.worlds.ripmap import Grey, RipMap
+from fvslam_graph.simulation.worlds.street_textures import CAR, CAR_ENDS, car_paint
+from fvslam_graph.simulation.worlds.view import fade, length, rays
 
 _HAZE = (250.0, 500.0)  # metres over which the ground fades
 _SKY = 185.0  # grey value

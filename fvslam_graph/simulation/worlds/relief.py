@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.sequences.worlds.patterns import noise
-from fvslam_graph.sequences.worlds.ripmap import Grey
+from fvslam_graph.simulation.worlds.patterns import noise
+from fvslam_graph.simulation.worlds.ripmap import Grey
 
 CELL = 0.27  # metres
 CELLS = 1024

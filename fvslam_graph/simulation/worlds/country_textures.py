@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvslam_graph.sequences.worlds.patterns import Canvas, noise
-from fvslam_graph.sequences.worlds.ripmap import Grey, RipMap
-from fvslam_graph.sequences.worlds.waves import Waves
+from fvslam_graph.simulation.worlds.patterns import Canvas, noise
+from fvslam_graph.simulation.worlds.ripmap import Grey, RipMap
+from fvslam_graph.simulation.worlds.waves import Waves
 
 
 def country(rng: np.random.Generator) -> RipMap:

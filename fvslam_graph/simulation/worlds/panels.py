@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.sequences.worlds.ripmap import Grey, RipMap
-from fvslam_graph.sequences.worlds.view import fade, length
+from fvslam_graph.simulation.worlds.ripmap import Grey, RipMap
+from fvslam_graph.simulation.worlds.view import fade, length
 
 Vector = NDArray[np.float64]
 Window = tuple[slice, slice]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fvslam_graph.sequences.worlds.effects import Effects
+from fvslam_graph.simulation.worlds.effects import Effects
 
 STAMPS = np.arange(100) / 10
 GREY = np.full((60, 80), 100, np.float32)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fvslam_graph.core.camera import Image
-from fvslam_graph.sequences.worlds.ripmap import Grey, RipMap
+from fvslam_graph.simulation.worlds.ripmap import Grey, RipMap
 
 Points = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvslam_graph.sequences.worlds.patterns import Canvas, Points, noise
-from fvslam_graph.sequences.worlds.ripmap import RipMap
-from fvslam_graph.sequences.worlds.waves import Waves
+from fvslam_graph.simulation.worlds.patterns import Canvas, Points, noise
+from fvslam_graph.simulation.worlds.ripmap import RipMap
+from fvslam_graph.simulation.worlds.waves import Waves
 
 GROUND_WIDTH = 20.48  # metres across the street; its middle is at half of it
 KERB = 5.5  # metres from the middle

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fvslam_graph.core.random_streams import stream
-from fvslam_graph.sequences.worlds import street_textures as textures
-from fvslam_graph.sequences.worlds.boxes import Box
-from fvslam_graph.sequences.worlds.panels import Vector
-from fvslam_graph.sequences.worlds.waves import Waves
+from fvslam_graph.simulation.worlds import street_textures as textures
+from fvslam_graph.simulation.worlds.boxes import Box
+from fvslam_graph.simulation.worlds.panels import Vector
+from fvslam_graph.simulation.worlds.waves import Waves
 
 Size = tuple[float, float, float]  # length, width, height in metres
 

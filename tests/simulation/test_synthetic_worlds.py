@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fvslam_graph.sequences.worlds.drive import DriveWorld
-from fvslam_graph.sequences.worlds.panels import paint_depth
-from fvslam_graph.sequences.worlds.street import Street
-from fvslam_graph.sequences.worlds.terrain import Terrain
-from fvslam_graph.sequences.worlds.uav import UavWorld
+from fvslam_graph.simulation.worlds.drive import DriveWorld
+from fvslam_graph.simulation.worlds.panels import paint_depth
+from fvslam_graph.simulation.worlds.street import Street
+from fvslam_graph.simulation.worlds.terrain import Terrain
+from fvslam_graph.simulation.worlds.uav import UavWorld
 
 Array = NDArray[np.float64]
 WINDOW = 15  # pixels

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.sequences.worlds.boxes import Box
-from fvslam_graph.sequences.worlds.panels import Panel, paint, paint_depth
-from fvslam_graph.sequences.worlds.patterns import Canvas, noise
-from fvslam_graph.sequences.worlds.ripmap import Grey, RipMap
+from fvslam_graph.simulation.worlds.boxes import Box
+from fvslam_graph.simulation.worlds.panels import Panel, paint, paint_depth
+from fvslam_graph.simulation.worlds.patterns import Canvas, noise
+from fvslam_graph.simulation.worlds.ripmap import Grey, RipMap
 
 CAMERA = Camera(200, 100, 100, 100, 99.5, 49.5)
 FORWARD = gtsam.Pose3(gtsam.Rot3(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])), np.zeros(3))  # along x, z up

@@ -1,0 +1,1 @@
+"""Synthetic worlds and scenes of points, with what sees them."""
