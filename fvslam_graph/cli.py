@@ -83,7 +83,7 @@ def run(
     """Run an estimator on a sequence and keep the result in a folder."""
     from fvslam_graph.core.config import load_config
     from fvslam_graph.core.files import file_name
-    from fvslam_graph.sequences.opening import open_sequence
+    from fvslam_graph.sequences.open import open_sequence
 
     given = [f"{name}={value}" for name, value in (("mode", mode), ("seed", seed)) if value is not None]
     chosen = load_config(preset, config, [*given, *(settings or [])])
@@ -202,7 +202,7 @@ def info(path: SequencePath, camera_height: CameraHeight = None, camera_pitch: C
     from rich.text import Text
 
     from fvslam_graph.sequences.describe import describe
-    from fvslam_graph.sequences.opening import open_sequence
+    from fvslam_graph.sequences.open import open_sequence
 
     table = Table(show_header=False, box=None)
     for name, value in describe(open_sequence(path, camera_height=camera_height, camera_pitch=camera_pitch)):
@@ -216,7 +216,7 @@ def distortion(path: SequencePath, frames: Frames = None, stride: Stride = 1, ca
 
     It shows where the camera turns; `run --camera-k1` takes it out.
     """
-    from fvslam_graph.sequences.opening import open_sequence
+    from fvslam_graph.sequences.open import open_sequence
     from fvslam_graph.vo.distortion import measure_distortion
 
     sequence = open_sequence(path, frames=frames, stride=stride, camera_k1=camera_k1)
@@ -236,7 +236,7 @@ def demo(
     from fvslam_graph.evaluation.report import runs_table
     from fvslam_graph.evaluation.runs import evaluate_run
     from fvslam_graph.run_folder import read_run
-    from fvslam_graph.sequences.opening import open_sequence
+    from fvslam_graph.sequences.open import open_sequence
 
     sequence = open_sequence(f"synthetic:uav?frames={frames}")
     sequence = replace(sequence, load=cache(sequence.load))  # rendering an image takes longer than using it

@@ -25,7 +25,7 @@ from fvslam_graph.core.files import writing
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.pipeline import applicable, estimate, stages
 from fvslam_graph.provenance import peak_memory_mb
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 WARM_UP = 5  # frames
 STATISTICS = ("median", "mean", "p95", "Q1", "Q2", "Q3", "Q4")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.pipeline import applicable, estimate
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.simulation.disturbed import DISTURBANCES, Disturbed
 
 SPAN = 5  # frames over which a motion is measured

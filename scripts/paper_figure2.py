@@ -21,7 +21,7 @@ from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.pipeline import applicable, estimate, facts
 from fvslam_graph.results import collect
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.study.job import numbers
 
 MODES = {"vo": "VO", "vslam": "V-SLAM", "average": "our approach"}

@@ -9,7 +9,7 @@ from fvslam_graph.core.errors import ConfigError, FvslamError
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.landmark_plots import plot_landmarks
 from fvslam_graph.evaluation.plots import FIGURES, plot_runs
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 SHORT = "synthetic:uav?frames=12&size=320x240"
 

@@ -8,7 +8,7 @@ import pytest
 from fvslam_graph.core.config import load_config
 from fvslam_graph.pipeline import estimate, facts
 from fvslam_graph.run_folder import RunWriter
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 TRUTH = "groundtruth.tum"
 

@@ -8,7 +8,7 @@ import cv2
 import pytest
 
 import fvslam_graph
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 README = Path(__file__).parents[1] / "README.md"
 BLOCKS = re.findall(r"(?:^ {4}.*\n|^\n)+", README.read_text(), re.MULTILINE)

@@ -11,7 +11,7 @@ from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation, evaluate
 from fvslam_graph.pipeline import applicable, estimate
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 
 def run(path, preset: str = "tuned", frames: str = ":", settings: tuple[str, ...] = ()):

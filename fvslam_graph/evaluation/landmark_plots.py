@@ -14,7 +14,7 @@ from fvslam_graph.evaluation.plots import STYLE, legible, level_axes, save
 from fvslam_graph.landmark_table import NEW, read_landmarks
 from fvslam_graph.ownership import INFO, claim_files
 from fvslam_graph.run_folder import LANDMARKS, read_run
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -30,7 +30,7 @@ from fvslam_graph.pipeline import applicable, estimate, facts
 from fvslam_graph.provenance import forget_peak_memory, provenance
 from fvslam_graph.results import Run
 from fvslam_graph.run_folder import RunWriter, read_run
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 LARGEST = 2e9  # bytes of rendered images
 

@@ -20,7 +20,7 @@ import pytest
 
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.run_folder import read_run
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 TIMES = int(os.environ.get("FVSLAM_FUZZ", "1"))
 SECONDS, BYTES = 60, 2_000_000_000

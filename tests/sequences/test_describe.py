@@ -1,5 +1,5 @@
 from fvslam_graph.sequences.describe import describe
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 
 def test_a_full_recording(plain_folder):

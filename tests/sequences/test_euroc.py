@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.errors import CameraError, SequenceError, TrajectoryError
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 # The camera looks along the body's x axis, its image's y axis points down, and it sits 0.1 m ahead of the body.
 SENSOR = """\

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.errors import CameraError, FvslamError, SequenceError, TrajectoryError
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 
 def test_listed_images_with_heights(plain_folder):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.errors import CameraError, SequenceError, TrajectoryError
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.sequences.oxts import EARTH_RADIUS
 
 CALIBRATION = "roi: 1 2 3 4\nP1_roi: 50 0 31.5 0 0 50 23.5 0 0 0 1 0\nP2_roi: 50 0 31.5 -25 0 50 23.5 0 0 0 1 0\n"

@@ -3,7 +3,7 @@ import pytest
 
 from fvslam_graph.core.errors import CameraError, SequenceError, TrajectoryError
 from fvslam_graph.sequences import kitti_odometry
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 P0 = "P0: 50 0 31.5 0 0 50 23.5 0 0 0 1 0\n"
 

@@ -5,7 +5,7 @@ import pytest
 
 from fvslam_graph.core.camera import Camera, Distortion
 from fvslam_graph.core.errors import CameraError, SequenceError, TrajectoryError
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.sequences.oxts import EARTH_RADIUS
 
 LATITUDE, LONGITUDE = 49.0, 8.4

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.errors import CameraError, SequenceError, TrajectoryError
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 
 STAMPS = (1305031102.1753, 1305031102.2113, 1305031102.2432)
 TRUTH = "# timestamp tx ty tz qx qy qz qw\n1305031102.1 1 2 3 0 0 0 1\n1305031102.3 1 2 4 0 0 0.7071068 0.7071068\n"

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.errors import CameraError, SequenceError
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.sequences.video import read
 
 FRAMES = 240

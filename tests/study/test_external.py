@@ -6,7 +6,7 @@ import pytest
 from fvslam_graph.core.errors import TrajectoryError
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.study.external import external_row, external_run
 
 

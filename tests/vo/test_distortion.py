@@ -9,7 +9,7 @@ import pytest
 from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.tracks import Tracks
-from fvslam_graph.sequences.opening import open_sequence
+from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.vo.distortion import RadialDistortion, measure_distortion
 from fvslam_graph.vo.two_view import estimate_two_view
 

@@ -8,7 +8,7 @@ import pytest
 from fvslam_graph.core.camera import Distortion
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.sequences import images
-from fvslam_graph.sequences.opening import FORMATS, open_sequence
+from fvslam_graph.sequences.open import FORMATS, open_sequence
 
 
 def test_frames_and_stride_choose_images_stamps_and_heights(plain_folder):
