@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
-from fvslam_graph.vo.two_view import TwoView
+from fvslam_graph.vo.relative_pose import TwoView
 
 
 def metric_pose(two_view: TwoView, scale: LogScale) -> GaussianPose:

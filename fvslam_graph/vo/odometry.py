@@ -24,17 +24,17 @@ from fvslam_graph.features.detection import detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
+from fvslam_graph.vo.absolute_pose import locate, refine
 from fvslam_graph.vo.depth import triangulate, typical_depth
 from fvslam_graph.vo.epipolar import rays
-from fvslam_graph.vo.ground import GroundAligner
-from fvslam_graph.vo.locate import locate, refine
-from fvslam_graph.vo.lost_references import LostReference, LostReferences
+from fvslam_graph.vo.ground_plane import GroundAligner
+from fvslam_graph.vo.lost_keyframes import LostReference, LostReferences
 from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.plausibility import Plausibility
+from fvslam_graph.vo.relative_pose import estimate_two_view
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import MetricScale
-from fvslam_graph.vo.two_view import estimate_two_view
 
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1

@@ -14,9 +14,9 @@ from fvslam_graph.core.gaussian_pose import VAGUE, LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.vo_estimate import ScaleStep
-from fvslam_graph.vo.ground import GroundAligner
+from fvslam_graph.vo.ground_plane import GroundAligner
+from fvslam_graph.vo.relative_pose import TwoView
 from fvslam_graph.vo.scale_filter import ScaleFilter
-from fvslam_graph.vo.two_view import TwoView
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
 MIN_COMMON = 10  # tracks of known depth that tell a scale

@@ -11,7 +11,7 @@ from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.vo.distortion import RadialDistortion, measure_distortion
-from fvslam_graph.vo.two_view import estimate_two_view
+from fvslam_graph.vo.relative_pose import estimate_two_view
 
 
 def bent(camera, pixels, k1, noise, rng):

@@ -8,7 +8,7 @@ import pytest
 
 from fvslam_graph.core.gaussian_pose import LogScale
 from fvslam_graph.vo.metric_pose import metric_pose
-from fvslam_graph.vo.two_view import TwoView
+from fvslam_graph.vo.relative_pose import TwoView
 
 ROTATION = gtsam.Rot3.Expmap(np.array([0.3, -0.2, 0.5]))
 DIRECTION = gtsam.Unit3(np.array([0.3, -0.5, 0.8]))

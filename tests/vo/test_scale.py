@@ -12,9 +12,9 @@ from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import rays
-from fvslam_graph.vo.ground import GroundPlane
+from fvslam_graph.vo.ground_plane import GroundPlane
+from fvslam_graph.vo.relative_pose import TwoView
 from fvslam_graph.vo.scale import MIN_COMMON, ORACLE_VARIANCE, MetricScale
-from fvslam_graph.vo.two_view import TwoView
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.9, -0.3, 1.2]))
 BASELINE = float(np.linalg.norm(MOTION.translation()))

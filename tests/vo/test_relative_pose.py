@@ -12,7 +12,7 @@ from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
 from fvslam_graph.vo.epipolar import epipolar_distance, rays
-from fvslam_graph.vo.two_view import estimate_two_view
+from fvslam_graph.vo.relative_pose import estimate_two_view
 
 from .conftest import recalibrated
 

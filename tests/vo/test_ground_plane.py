@@ -10,8 +10,8 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.vo.epipolar import rays
-from fvslam_graph.vo.ground import GroundAligner, GroundPlane
-from fvslam_graph.vo.two_view import TwoView
+from fvslam_graph.vo.ground_plane import GroundAligner, GroundPlane
+from fvslam_graph.vo.relative_pose import TwoView
 
 
 class View(NamedTuple):

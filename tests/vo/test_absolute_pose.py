@@ -10,8 +10,8 @@ from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.inverse_depths import SHARED, InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
+from fvslam_graph.vo.absolute_pose import locate, refine
 from fvslam_graph.vo.epipolar import rays
-from fvslam_graph.vo.locate import locate, refine
 from fvslam_graph.vo.reprojection import reprojection_errors
 
 from .conftest import recalibrated

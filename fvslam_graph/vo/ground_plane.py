@@ -19,7 +19,7 @@ from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import epipolar_distance, rays
-from fvslam_graph.vo.two_view import TwoView
+from fvslam_graph.vo.relative_pose import TwoView
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
 _WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car

@@ -15,8 +15,8 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
+from fvslam_graph.vo.relative_pose import KERNEL, START_NOISE, WIDTHS, a_sample, poselib_camera
 from fvslam_graph.vo.reprojection import reprojection_errors
-from fvslam_graph.vo.two_view import KERNEL, START_NOISE, WIDTHS, a_sample, poselib_camera
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
 
