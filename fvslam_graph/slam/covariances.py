@@ -8,7 +8,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from fvslam_graph.slam.landmarks import Array
+from fvslam_graph.slam.inverse_depth import Array
 
 
 def keep_memory() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.slam.covariances import extended, selected
-from fvslam_graph.slam.landmarks import Array, angles
+from fvslam_graph.slam.inverse_depth import Array, angles
 from fvslam_graph.slam.state import FIXED, PART, SCALE, State
 
 NEIGHBOURHOOD = 0.1  # of the image's width: landmarks this near to a pixel tell most about its depth

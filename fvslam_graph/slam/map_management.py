@@ -17,8 +17,8 @@ from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import Outcome, Searched
 from fvslam_graph.features.patches import MARGIN
 from fvslam_graph.slam.initialisation import depths_from_map, equal_depths, known_depths, with_new_landmarks
-from fvslam_graph.slam.landmarks import Array, linearity_index
-from fvslam_graph.slam.records import NO_TRACK, Records
+from fvslam_graph.slam.inverse_depth import Array, linearity_index
+from fvslam_graph.slam.landmark_history import NO_TRACK, Records
 from fvslam_graph.slam.state import State
 
 SPACING = 15.0  # pixels at least between landmarks

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.slam.covariances import each_transformed, innovation, sparse_rows
-from fvslam_graph.slam.landmarks import Array, hat, scaled_points
+from fvslam_graph.slam.inverse_depth import Array, hat, scaled_points
 from fvslam_graph.slam.motion import travelled
 from fvslam_graph.slam.state import FIXED, VELOCITY, State
 

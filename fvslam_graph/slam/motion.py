@@ -10,7 +10,7 @@ import numpy as np
 from fvslam_graph.core.config import SlamSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.slam.covariances import sparse_rows, symmetric, transformed
-from fvslam_graph.slam.landmarks import Array, points_seen_from, rays_seen_from
+from fvslam_graph.slam.inverse_depth import Array, points_seen_from, rays_seen_from
 from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State
 
 SCALE_WALK = 0.04  # of log scale

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.slam.covariances import innovation, inverse_root
-from fvslam_graph.slam.landmarks import Array
+from fvslam_graph.slam.inverse_depth import Array
 from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels
 from fvslam_graph.slam.state import State
 

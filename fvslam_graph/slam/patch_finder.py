@@ -13,7 +13,7 @@ from fvslam_graph.core.sequence import Frame
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.patches import REACH, align, cut_tiles, search, view_change, warp
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.slam.landmarks import Array
+from fvslam_graph.slam.inverse_depth import Array
 from fvslam_graph.slam.measurement import GATE
 
 MAX_SHIFT = 3.0  # pixels that the alignment may move along each axis from where the search ended

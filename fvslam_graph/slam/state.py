@@ -14,7 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from fvslam_graph.slam.covariances import each_transformed, extended, selected
-from fvslam_graph.slam.landmarks import Array, to_points
+from fvslam_graph.slam.inverse_depth import Array, to_points
 
 POSE, SCALE, VELOCITY, FIXED = slice(0, 6), 6, slice(7, 13), 13  # rows of the error state before the landmarks
 PART = 3  # numbers of an anchor, of a ray and of a point, in the error state

@@ -21,7 +21,8 @@ from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.features.patches import MARGIN
 from fvslam_graph.slam.covariances import keep_memory
-from fvslam_graph.slam.landmarks import Array
+from fvslam_graph.slam.inverse_depth import Array
+from fvslam_graph.slam.landmark_history import NO_TRACK
 from fvslam_graph.slam.map_management import MapManager
 from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels, update
 from fvslam_graph.slam.motion import (
@@ -34,7 +35,6 @@ from fvslam_graph.slam.motion import (
     with_scale_walk,
 )
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
-from fvslam_graph.slam.records import NO_TRACK
 from fvslam_graph.slam.sighting import Remembered, Sighting
 from fvslam_graph.slam.state import POSE, SCALE, VELOCITY, State
 

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.slam.landmarks import (
+from fvslam_graph.slam.inverse_depth import (
     angles,
     direction,
     hat,
