@@ -15,7 +15,7 @@ from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.slam_estimate import Views
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.fusion import Fusion
-from fvslam_graph.fusion.graph import Graph
+from fvslam_graph.graph.factor_graph import Graph
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import Views
 from fvslam_graph.core.vo_estimate import OdometryStep
-from fvslam_graph.fusion.factors import position_factor
 from fvslam_graph.fusion.graph_fusion import GraphFusion
+from fvslam_graph.graph.factors import position_factor
 
 CAMERA = Camera(640, 480, 450.0, 450.0, 319.5, 239.5)
 NOTHING = Views(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))

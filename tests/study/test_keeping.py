@@ -141,7 +141,7 @@ def test_other_systems_are_looked_at_first(drive, tmp_path, monkeypatch, unplott
 
 def test_what_a_run_lacks_is_said(job, tmp_path, monkeypatch):
     from fvslam_graph.core.errors import EstimationError
-    from fvslam_graph.fusion.graph import Graph
+    from fvslam_graph.graph.factor_graph import Graph
     from fvslam_graph.study.outcome import Outcome
 
     def fails(self):

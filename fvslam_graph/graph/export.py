@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.files import replacing, write_file
 from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES
-from fvslam_graph.fusion.calibration import CALIBRATION, FIXED
-from fvslam_graph.fusion.factors import is_filed, is_landmark, is_pose, length_factor, pose_key
+from fvslam_graph.graph.calibration import CALIBRATION, FIXED
+from fvslam_graph.graph.factors import is_filed, is_landmark, is_pose, length_factor, pose_key
 
 Lengths = Mapping[tuple[int, int], tuple[float, float]]
 """Metres and deviation of motions between two frames."""

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.config import GraphSettings
-from fvslam_graph.fusion.factors import LandmarkFactors
-from fvslam_graph.fusion.pixel_noise import PixelNoise
+from fvslam_graph.graph.factors import LandmarkFactors
+from fvslam_graph.graph.pixel_noise import PixelNoise
 from fvslam_graph.simulation.points import simulate_drive
 
 from .conftest import PIXEL

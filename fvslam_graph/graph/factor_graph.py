@@ -17,12 +17,13 @@ from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.slam_estimate import Views
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.core.vo_estimate import OdometryStep
-from fvslam_graph.fusion.calibration import (
+from fvslam_graph.graph.calibration import (
     CALIBRATION,
     CalibrationEstimate,
     calibration_estimate,
 )
-from fvslam_graph.fusion.factors import (
+from fvslam_graph.graph.export import write_graph
+from fvslam_graph.graph.factors import (
     SHORT,
     LandmarkFactors,
     calibrated_motion_factors,
@@ -35,12 +36,11 @@ from fvslam_graph.fusion.factors import (
     pose_factor,
     pose_key,
 )
-from fvslam_graph.fusion.graph_files import write_graph
-from fvslam_graph.fusion.motion_gate import contradiction
-from fvslam_graph.fusion.newcomers import Newcomers, View
-from fvslam_graph.fusion.pixel_noise import PixelNoise
-from fvslam_graph.fusion.scale_chain import ScaleChain
-from fvslam_graph.fusion.solver import Solver
+from fvslam_graph.graph.gating import contradiction
+from fvslam_graph.graph.landmark_candidates import Newcomers, View
+from fvslam_graph.graph.pixel_noise import PixelNoise
+from fvslam_graph.graph.scale_chain import ScaleChain
+from fvslam_graph.graph.solver import Solver
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.vo_estimate import OdometryStep
-from fvslam_graph.fusion.calibration import CALIBRATION, SelfCalibration
+from fvslam_graph.graph.calibration import CALIBRATION, SelfCalibration
 
 Array = NDArray[np.float64]
 

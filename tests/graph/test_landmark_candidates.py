@@ -7,7 +7,7 @@ import pytest
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.slam_estimate import Views
-from fvslam_graph.fusion.newcomers import Newcomers
+from fvslam_graph.graph.landmark_candidates import Newcomers
 
 CAMERA = Camera(640, 480, 450.0, 450.0, 319.5, 239.5)
 POINT = np.array([0.2, 0.1, 6.0])

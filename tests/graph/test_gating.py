@@ -6,7 +6,7 @@ import pytest
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.fusion.motion_gate import MIN_LANDMARKS, contradiction
+from fvslam_graph.graph.gating import MIN_LANDMARKS, contradiction
 
 CAMERA = Camera(640, 480, 450.0, 440.0, 319.5, 239.5)
 TRUE = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.05, 0.1), np.array([0.3, -0.1, 1.5]))

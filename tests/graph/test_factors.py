@@ -7,8 +7,8 @@ import pytest
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.fusion.calibration import CALIBRATION
-from fvslam_graph.fusion.factors import (
+from fvslam_graph.graph.calibration import CALIBRATION
+from fvslam_graph.graph.factors import (
     LandmarkFactors,
     height_factor,
     is_pose,

@@ -12,10 +12,10 @@ from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.vo_estimate import OdometryStep
-from fvslam_graph.fusion.calibration import CALIBRATION
-from fvslam_graph.fusion.factors import LandmarkFactors, is_landmark, landmark_key, pose_key, position_factor
-from fvslam_graph.fusion.graph import Graph
-from fvslam_graph.fusion.solver import Solver
+from fvslam_graph.graph.calibration import CALIBRATION
+from fvslam_graph.graph.factor_graph import Graph
+from fvslam_graph.graph.factors import LandmarkFactors, is_landmark, landmark_key, pose_key, position_factor
+from fvslam_graph.graph.solver import Solver
 
 from .conftest import MOTION, PIXEL, error_of
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
-from fvslam_graph.fusion.calibration import CALIBRATION, is_camera
-from fvslam_graph.fusion.factors import is_filed, is_landmark, is_pose
-from fvslam_graph.fusion.sightings import Sightings, astray
+from fvslam_graph.graph.calibration import CALIBRATION, is_camera
+from fvslam_graph.graph.factors import is_filed, is_landmark, is_pose
+from fvslam_graph.graph.marginalization import Sightings, astray
 
 _log = logging.getLogger(__name__)
 

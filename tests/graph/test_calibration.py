@@ -10,8 +10,8 @@ from fvslam_graph.core.camera import Camera, Distortion
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.vo_estimate import OdometryStep
-from fvslam_graph.fusion.calibration import CALIBRATION, SelfCalibration, is_camera
-from fvslam_graph.fusion.factors import (
+from fvslam_graph.graph.calibration import CALIBRATION, SelfCalibration, is_camera
+from fvslam_graph.graph.factors import (
     LandmarkFactors,
     calibrated_motion_factors,
     filed_key,

@@ -8,11 +8,10 @@ import pytest
 
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.fusion.calibration import CALIBRATION
-from fvslam_graph.fusion.factors import LandmarkFactors, landmark_key, motion_factor, pose_factor, pose_key
-from fvslam_graph.fusion.sightings import Sightings
-from fvslam_graph.fusion.solver import UNSEEN
-from fvslam_graph.fusion.summary import Summary
+from fvslam_graph.graph.calibration import CALIBRATION
+from fvslam_graph.graph.factors import LandmarkFactors, landmark_key, motion_factor, pose_factor, pose_key
+from fvslam_graph.graph.marginalization import Sightings, Summary
+from fvslam_graph.graph.solver import UNSEEN
 from fvslam_graph.simulation.points import simulate_drive
 
 from .conftest import MOTION

@@ -16,10 +16,10 @@ from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import Views
 from fvslam_graph.core.vo_estimate import OdometryStep, ScaleStep
 from fvslam_graph.evaluation.nees import nees
-from fvslam_graph.fusion.factors import length_factor, motion_factor, pose_key, position_factor
-from fvslam_graph.fusion.graph import Graph
 from fvslam_graph.fusion.graph_fusion import GraphFusion
-from fvslam_graph.fusion.scale_chain import LENGTH_SIGMA, ScaleChain, scale_key
+from fvslam_graph.graph.factor_graph import Graph
+from fvslam_graph.graph.factors import length_factor, motion_factor, pose_key, position_factor
+from fvslam_graph.graph.scale_chain import LENGTH_SIGMA, ScaleChain, scale_key
 from fvslam_graph.vo.scale_filter import ScaleFilter
 
 CAMERA = Camera(width=640, height=480, fx=400, fy=400, cx=320, cy=240)

@@ -12,7 +12,7 @@ from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.slam_estimate import Views
 from fvslam_graph.core.vo_estimate import OdometryStep
-from fvslam_graph.fusion.graph import Graph
+from fvslam_graph.graph.factor_graph import Graph
 from fvslam_graph.simulation.points import PointScene, simulate_drive
 
 INTERVAL = 2

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.gaussian_pose import VAGUE, GaussianPose, LogScale
 from fvslam_graph.core.vo_estimate import ScaleStep
-from fvslam_graph.fusion.factors import SHORT, pose_key
+from fvslam_graph.graph.factors import SHORT, pose_key
 
 LENGTH_SIGMA = 1e-4  # share of a length that it errs by, beyond its scale
 CONVENTION = 1e-3  # of the logarithm of a scale that nothing measures

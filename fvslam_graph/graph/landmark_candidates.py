@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.slam_estimate import Views
-from fvslam_graph.fusion.factors import pose_key
+from fvslam_graph.graph.factors import pose_key
 
 Array = NDArray[np.float64]
 

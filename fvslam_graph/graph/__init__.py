@@ -1,0 +1,1 @@
+"""The factor graph: motions of odometry and landmarks of visual SLAM, smoothed together."""
