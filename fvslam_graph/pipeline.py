@@ -22,11 +22,10 @@ from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.tracks import Association
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.core.vo_estimate import VoEstimate
-from fvslam_graph.fusion.average import Average
 from fvslam_graph.fusion.fusion import Fusion, RuleFusion, SlamAlone
 from fvslam_graph.fusion.graph_fusion import GraphFusion
-from fvslam_graph.fusion.interleave import Interleave
-from fvslam_graph.fusion.intersection import Intersection
+from fvslam_graph.fusion.rules import Average, Intersection
+from fvslam_graph.fusion.schedule import Interleave
 from fvslam_graph.slam.patch_finder import PatchFinder
 from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.vo.odometry import VisualOdometry

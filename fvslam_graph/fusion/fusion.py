@@ -10,7 +10,7 @@ from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import Views
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.odometry_chain import OdometryChain
-from fvslam_graph.fusion.rule import FusionRule
+from fvslam_graph.fusion.rules import FusionRule
 from fvslam_graph.graph.factor_graph import Graph
 
 

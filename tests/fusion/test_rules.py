@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.fusion.average import Average
-from fvslam_graph.fusion.intersection import Intersection
+from fvslam_graph.fusion.rules import Average, Intersection
 
 WEIGHTS = (0.0, 0.2, 0.5, 0.9, 1.0)
 

@@ -1,6 +1,6 @@
 """When visual SLAM takes its turn."""
 
-from fvslam_graph.fusion.interleave import Interleave
+from fvslam_graph.fusion.schedule import Interleave
 
 
 def test_fixed():
