@@ -13,8 +13,8 @@ from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.pipeline import applicable, estimate, facts
-from fvslam_graph.results import Run, collect
-from fvslam_graph.run_folder import RunWriter, read_run
+from fvslam_graph.runs.results import Run, collect
+from fvslam_graph.runs.run_folder import RunWriter, read_run
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.study.carry_out import carry_out
 from fvslam_graph.study.declaration import comparison, default_folder

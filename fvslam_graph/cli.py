@@ -137,7 +137,7 @@ def plot(
     from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.landmark_plots import plot_landmarks
     from fvslam_graph.evaluation.plots import plot_runs
-    from fvslam_graph.run_folder import read_run
+    from fvslam_graph.runs.run_folder import read_run
 
     shown = plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]) if landmarks is not None else []
     for file in [*plot_runs([read_run(run) for run in runs], out or runs[0], Alignment.named(align)), *shown]:
@@ -235,7 +235,7 @@ def demo(
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.evaluation.report import runs_table
     from fvslam_graph.evaluation.runs import evaluate_run
-    from fvslam_graph.run_folder import read_run
+    from fvslam_graph.runs.run_folder import read_run
     from fvslam_graph.sequences.open import open_sequence
 
     sequence = open_sequence(f"synthetic:uav?frames={frames}")
@@ -271,7 +271,7 @@ def _run(sequence: Sequence, config: Config, folder: Path) -> str:
     from fvslam_graph.core.files import one_line
     from fvslam_graph.core.trajectory import Status
     from fvslam_graph.pipeline import applicable, estimate, facts
-    from fvslam_graph.run_folder import RunWriter
+    from fvslam_graph.runs.run_folder import RunWriter
 
     effective = applicable(config, sequence)
     if effective != config:

@@ -15,7 +15,7 @@ from fvslam_graph.api import evaluate
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.metrics import Evaluation
-from fvslam_graph.results import Run
+from fvslam_graph.runs.results import Run
 from fvslam_graph.simulation.synthetic import synthetic_sequence
 
 

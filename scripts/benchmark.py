@@ -24,7 +24,7 @@ from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.core.files import writing
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.pipeline import applicable, estimate, stages
-from fvslam_graph.provenance import peak_memory_mb
+from fvslam_graph.runs.provenance import peak_memory_mb
 from fvslam_graph.sequences.open import open_sequence
 
 WARM_UP = 5  # frames

@@ -20,7 +20,7 @@ from fvslam_graph.evaluation.plots import RUN_COLOURS, TRUTH, level_axes
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.pipeline import applicable, estimate, facts
-from fvslam_graph.results import collect
+from fvslam_graph.runs.results import collect
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.study.job import numbers
 

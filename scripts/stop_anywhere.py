@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 from zipfile import ZipFile
 
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.run_folder import read_run
 
 WORLD = "synthetic:uav?frames=12&size=160x120"
 STUDY = f'sequences: ["{WORLD}"]\nmodes: [vo, graph]\nseeds: 1\n'

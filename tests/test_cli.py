@@ -15,7 +15,7 @@ from fvslam_graph import pipeline
 from fvslam_graph.cli import app
 from fvslam_graph.core.files import file_name
 from fvslam_graph.evaluation import plots
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.run_folder import read_run
 
 COMMANDS = ("run", "evaluate", "plot", "compare", "study", "info", "demo")
 HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib", "dask", "distributed"}

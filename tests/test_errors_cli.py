@@ -7,7 +7,7 @@ import pytest
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.pipeline import estimate, facts
-from fvslam_graph.run_folder import RunWriter
+from fvslam_graph.runs.run_folder import RunWriter
 from fvslam_graph.sequences.open import open_sequence
 
 TRUTH = "groundtruth.tum"
@@ -170,7 +170,7 @@ def test_a_disk_that_fills_up(drive, tmp_path, monkeypatch, refused):
     def full(self, result):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("fvslam_graph.run_folder.tum_line", full)
+    monkeypatch.setattr("fvslam_graph.runs.run_folder.tum_line", full)
     refused("run cannot be written: No space left on device", "run", drive, "--out", tmp_path / "run")
 
 

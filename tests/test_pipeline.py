@@ -15,7 +15,7 @@ from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.monte_carlo import pose_errors, run
 from fvslam_graph.pipeline import applicable, estimate, facts, stages
-from fvslam_graph.run_folder import GRAPH, METRICS, RunWriter, read_run
+from fvslam_graph.runs.run_folder import GRAPH, METRICS, RunWriter, read_run
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.simulation.points import simulate_drive, simulate_flight
 from fvslam_graph.simulation.synthetic import synthetic_sequence

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import TrajectoryError
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.run_folder import read_run
 
 MAX_DIFFERENCE = 0.01  # s between associated stamps: the default of evo_ape
 MAX_GAP = 0.5  # s between poses of a reference that are interpolated

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.core.files import writing
 from fvslam_graph.evaluation.plots import STYLE, legible, level_axes, save
-from fvslam_graph.landmark_table import NEW, read_landmarks
-from fvslam_graph.ownership import INFO, claim_files
-from fvslam_graph.run_folder import LANDMARKS, read_run
+from fvslam_graph.runs.landmark_table import NEW, read_landmarks
+from fvslam_graph.runs.ownership import INFO, claim_files
+from fvslam_graph.runs.run_folder import LANDMARKS, read_run
 from fvslam_graph.sequences.open import open_sequence
 
 if TYPE_CHECKING:

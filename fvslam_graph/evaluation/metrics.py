@@ -17,8 +17,8 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import SAME_INSTANT, Association, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
 from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
-from fvslam_graph.results import Relatives
-from fvslam_graph.run_folder import METRICS, REFERENCE
+from fvslam_graph.runs.results import Relatives
+from fvslam_graph.runs.run_folder import METRICS, REFERENCE
 
 FARTHEST = 1e9  # m, beyond the moon; squares of errors stay exact enough
 FEW = 0.5  # of the poses that could have a reference; fewer are worth a note

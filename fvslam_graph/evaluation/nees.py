@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.evaluation.association import Association
-from fvslam_graph.results import Relatives
+from fvslam_graph.runs.results import Relatives
 
 _SINGULAR = 1e-12  # ratio of eigenvalues below which a covariance says nothing about a direction
 

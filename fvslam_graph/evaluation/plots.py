@@ -20,8 +20,8 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import Association
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluation_of
-from fvslam_graph.ownership import claim_files
-from fvslam_graph.results import Relatives, Run
+from fvslam_graph.runs.ownership import claim_files
+from fvslam_graph.runs.results import Relatives, Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

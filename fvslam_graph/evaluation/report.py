@@ -14,8 +14,8 @@ from fvslam_graph.core.files import one_line
 from fvslam_graph.core.text_files import read_text
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.results import Run
-from fvslam_graph.run_folder import METRICS, read_run
+from fvslam_graph.runs.results import Run
+from fvslam_graph.runs.run_folder import METRICS, read_run
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable

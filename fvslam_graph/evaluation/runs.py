@@ -10,8 +10,8 @@ from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import is_folder, load_trajectory
 from fvslam_graph.evaluation.metrics import Evaluation, evaluate
-from fvslam_graph.results import Run
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.results import Run
+from fvslam_graph.runs.run_folder import read_run
 
 
 def evaluate_run(folder: Path, reference: Path | None = None, align: Alignment = Alignment.SE3) -> Evaluation:

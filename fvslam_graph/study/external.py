@@ -14,7 +14,7 @@ from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import load_trajectory
 from fvslam_graph.evaluation.runs import evaluation_of
-from fvslam_graph.results import Run
+from fvslam_graph.runs.results import Run
 from fvslam_graph.study.job import Row, numbers
 from fvslam_graph.study.outcome import EXTERNAL
 

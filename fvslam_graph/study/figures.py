@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE, legible, save
-from fvslam_graph.ownership import claim_files
+from fvslam_graph.runs.ownership import claim_files
 from fvslam_graph.study.outcome import EXTERNAL, Outcome
 from fvslam_graph.study.statistics import COMPARED, Difference
 

@@ -25,11 +25,11 @@ from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
-from fvslam_graph.ownership import Kind, claimed, kind_of
 from fvslam_graph.pipeline import applicable, estimate, facts
-from fvslam_graph.provenance import forget_peak_memory, provenance
-from fvslam_graph.results import Run
-from fvslam_graph.run_folder import RunWriter, read_run
+from fvslam_graph.runs.ownership import Kind, claimed, kind_of
+from fvslam_graph.runs.provenance import forget_peak_memory, provenance
+from fvslam_graph.runs.results import Run
+from fvslam_graph.runs.run_folder import RunWriter, read_run
 from fvslam_graph.sequences.open import open_sequence
 
 LARGEST = 2e9  # bytes of rendered images

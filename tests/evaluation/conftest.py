@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.trajectory import Status, Trajectory
-from fvslam_graph.run_folder import RunWriter
+from fvslam_graph.runs.run_folder import RunWriter
 
 WORLD_T_START = gtsam.Pose3(gtsam.Rot3.Ypr(2.0, 0.3, -0.4), np.array([120.0, -40.0, 7.0]))
 SIGMAS = np.repeat([2e-4, 0.01], 3)  # of each step: rad, m

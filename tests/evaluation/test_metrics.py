@@ -14,7 +14,7 @@ from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import evaluate
 from fvslam_graph.evaluation.runs import evaluate_run, evaluation_of
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.run_folder import read_run
 
 from .conftest import WORLD_T_START, MakeRun, drive
 

@@ -5,7 +5,7 @@ import pytest
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.association import associate
 from fvslam_graph.evaluation.nees import average_nees, consistency, nees, nees_band, relative_errors
-from fvslam_graph.results import Relatives
+from fvslam_graph.runs.results import Relatives
 
 
 def covariance(rng: np.random.Generator) -> np.ndarray:

@@ -6,7 +6,7 @@ import pytest
 
 from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.evaluation.plots import level_axes, plot_runs
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.run_folder import read_run
 
 from .conftest import MakeRun, drive
 

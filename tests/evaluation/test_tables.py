@@ -10,7 +10,7 @@ from rich.console import Console
 
 from fvslam_graph.evaluation.plots import LONGEST, legible, plot_runs
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.run_folder import read_run
 
 from .conftest import MakeRun, drive
 

@@ -11,7 +11,7 @@ import pytest
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.pipeline import estimate, facts
-from fvslam_graph.run_folder import RunWriter
+from fvslam_graph.runs.run_folder import RunWriter
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.sequences.oxts import EARTH_RADIUS
 from fvslam_graph.simulation.synthetic import synthetic_sequence

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.evaluation.runs import evaluation_of
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.sequences.open import open_sequence
 
 TIMES = int(os.environ.get("FVSLAM_FUZZ", "1"))

@@ -9,7 +9,7 @@ import pytest
 
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study import job as job_module
 from fvslam_graph.study.job import execute, kept
 

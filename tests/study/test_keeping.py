@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from fvslam_graph.core.errors import ResultsError, StudyError
-from fvslam_graph.ownership import Kind, claimed
-from fvslam_graph.run_folder import read_run
+from fvslam_graph.runs.ownership import Kind, claimed
+from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study import carry_out as module
 from fvslam_graph.study import job as job_module
 from fvslam_graph.study.carry_out import carry_out
@@ -80,7 +80,7 @@ def test_a_study_in_a_folder_within_the_recording_is_gone_on_with(drive, tmp_pat
 
 def test_two_studies_at_once(tmp_path, unplotted):
     script = (
-        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.ownership import Kind, claimed\n"
+        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.runs.ownership import Kind, claimed\n"
         "with claimed(Path(sys.argv[1]), Kind.STUDY):\n    print('held', flush=True)\n    sys.stdin.read()\n"
     )
     command = [sys.executable, "-c", script, str(tmp_path / "out")]
@@ -169,7 +169,7 @@ def test_a_run_waits_for_whoever_is_at_it(job, tmp_path):
     one = job(path=TINY)
     folder = one.folder(tmp_path)
     script = (
-        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.ownership import Kind, claimed\n"
+        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.runs.ownership import Kind, claimed\n"
         "with claimed(Path(sys.argv[1]), Kind.RUN):\n    print('held', flush=True)\n    sys.stdin.read()\n"
         "    (Path(sys.argv[1]) / 'row_sim3.json').write_text('{\"ape\": 7}')\n"
     )

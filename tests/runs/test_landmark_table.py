@@ -7,7 +7,7 @@ import pytest
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.slam_estimate import Landmarks, Outcome, Searched, SlamEstimate
 from fvslam_graph.core.trajectory import Status
-from fvslam_graph.landmark_table import COLUMNS, NEW, landmark_rows, read_landmarks
+from fvslam_graph.runs.landmark_table import COLUMNS, NEW, landmark_rows, read_landmarks
 
 
 @pytest.fixture

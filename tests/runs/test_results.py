@@ -16,7 +16,7 @@ from fvslam_graph.core.errors import EstimationError, ResultsError, TrajectoryEr
 from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.trajectory import Status, Trajectory
-from fvslam_graph.run_folder import RunWriter, read_run
+from fvslam_graph.runs.run_folder import RunWriter, read_run
 
 STEP = gtsam.Pose3(gtsam.Rot3.Ypr(0.02, 0.01, -0.01), np.array([0.1, 0.0, 1.0]))
 FACTS = {"sequence": "test", "frames": 5, "mode": "vo", "scale_source": "plane", "seed": 7, "sigma": float("nan")}

@@ -31,10 +31,10 @@ from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
 from fvslam_graph.core.trajectory import Status, Trajectory, kitti_line, tum_line
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
-from fvslam_graph.landmark_table import COLUMNS, landmark_rows
-from fvslam_graph.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind_of
-from fvslam_graph.provenance import peak_memory_mb, provenance
-from fvslam_graph.results import Relatives, Run, smooth
+from fvslam_graph.runs.landmark_table import COLUMNS, landmark_rows
+from fvslam_graph.runs.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind_of
+from fvslam_graph.runs.provenance import peak_memory_mb, provenance
+from fvslam_graph.runs.results import Relatives, Run, smooth
 
 ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
 SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"

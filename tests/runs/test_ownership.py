@@ -10,7 +10,7 @@ import pytest
 
 from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.core.files import file_name, one_line, replacing, write_file
-from fvslam_graph.ownership import LOCK, MARK, Kind, claim_files, claimed, disown, kind_of
+from fvslam_graph.runs.ownership import LOCK, MARK, Kind, claim_files, claimed, disown, kind_of
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -87,7 +87,7 @@ def test_the_information_of_a_run_is_a_mark_but_only_of_ours(tmp_path):
 
 def test_a_folder_has_one_writer(tmp_path):
     script = (
-        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.ownership import Kind, claimed\n"
+        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.runs.ownership import Kind, claimed\n"
         "with claimed(Path(sys.argv[1]), Kind.RUN):\n    print('held', flush=True)\n    sys.stdin.read()\n"
     )
     command = [sys.executable, "-c", script, str(tmp_path / "run")]
