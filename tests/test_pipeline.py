@@ -11,9 +11,9 @@ import pytest
 from fvslam_graph.core.config import ScaleSource, load_config
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.trajectory import Status
+from fvslam_graph.evaluation.monte_carlo import pose_errors, run
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.evaluation.runs import evaluate_run
-from fvslam_graph.monte_carlo import pose_errors, run
 from fvslam_graph.pipeline import applicable, estimate, facts, stages
 from fvslam_graph.runs.run_folder import GRAPH, METRICS, RunWriter, read_run
 from fvslam_graph.sequences.open import open_sequence

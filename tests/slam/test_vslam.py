@@ -12,8 +12,8 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import Outcome
 from fvslam_graph.core.trajectory import Status
+from fvslam_graph.evaluation.monte_carlo import frame_of, pose_errors, run_vslam
 from fvslam_graph.evaluation.nees import nees, nees_band
-from fvslam_graph.monte_carlo import frame_of, pose_errors, run_vslam
 from fvslam_graph.simulation.points import simulate_drive, simulate_flight
 from fvslam_graph.simulation.scene_finder import SceneFinder, known_points
 from fvslam_graph.slam.vslam import VSlam
