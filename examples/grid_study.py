@@ -6,8 +6,8 @@ Takes a folder, the number of frames and how many processes, all of them or none
 import sys
 from pathlib import Path
 
-from fvslam_graph.study.carry_out import carry_out
-from fvslam_graph.study.declaration import Study
+from fvslam_graph.study.run import carry_out
+from fvslam_graph.study.spec import Study
 
 # Processes import this file, so that what it does has to stand below this line.
 if __name__ == "__main__":

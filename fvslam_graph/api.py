@@ -12,13 +12,12 @@ from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluation_of
-from fvslam_graph.pipeline import applicable, estimate, facts
-from fvslam_graph.runs.results import Run, collect
-from fvslam_graph.runs.run_folder import RunWriter, read_run
+from fvslam_graph.pipeline import run_sequence
+from fvslam_graph.runs.results import Run
 from fvslam_graph.sequences.open import open_sequence
-from fvslam_graph.study.carry_out import carry_out
-from fvslam_graph.study.declaration import comparison, default_folder
-from fvslam_graph.study.outcome import Outcome
+from fvslam_graph.study.results import Outcome
+from fvslam_graph.study.run import carry_out
+from fvslam_graph.study.spec import comparison, default_folder
 
 
 def run(
@@ -47,14 +46,8 @@ def run(
     """
     recording = sequence if isinstance(sequence, Sequence) else open_sequence(sequence)
     changes = [f"{name}={json.dumps(value)}" for name, value in (settings or {}).items()]
-    config = applicable(load_config(preset, settings=[f"mode={mode}", f"seed={seed}", *changes]), recording)
-    description = facts(recording, config)
-    if out is None:
-        return collect(estimate(recording, config), config, description, recording.ground_truth)
-    with RunWriter(Path(out), config, description, recording.ground_truth) as writer:
-        for result in estimate(recording, config):
-            writer.add(result)
-    return read_run(Path(out))
+    config = load_config(preset, settings=[f"mode={mode}", f"seed={seed}", *changes])
+    return run_sequence(recording, config, None if out is None else Path(out))
 
 
 def evaluate(

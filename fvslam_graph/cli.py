@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from fvslam_graph.core.config import Config
     from fvslam_graph.core.sequence import Sequence
-    from fvslam_graph.core.trajectory import Status
-    from fvslam_graph.study.declaration import Study
+    from fvslam_graph.study.spec import Study
 
 app = typer.Typer(
     name="fvslam",
@@ -165,7 +164,7 @@ def compare(
     """Run all modes on a sequence over several seeds, and compare them, also with other systems."""
     from fvslam_graph.core.errors import ConfigError
     from fvslam_graph.core.yaml_files import parse_yaml
-    from fvslam_graph.study.declaration import comparison, default_folder
+    from fvslam_graph.study.spec import comparison, default_folder
 
     files = dict(_pair(text, "--external", "NAME=FILE") for text in external or [])
     values = dict(_pair(text, "--set", "group.name=value") for text in settings or [])
@@ -189,7 +188,7 @@ def study(
     scheduler: Annotated[str | None, typer.Option(help="Of a dask cluster to use.", metavar="tcp://HOST:PORT")] = None,
 ) -> None:
     """Run a grid of sequences, modes, settings and seeds in parallel, and report on it; go on where it was stopped."""
-    from fvslam_graph.study.declaration import default_folder, load_study
+    from fvslam_graph.study.spec import default_folder, load_study
 
     declared = load_study(file)
     _carry_out(declared, out or default_folder(declared), workers, scheduler)
@@ -251,7 +250,7 @@ def demo(
 
 
 def _carry_out(study: Study, out: Path, workers: int | None, scheduler: str | None = None) -> None:
-    from fvslam_graph.study.carry_out import carry_out
+    from fvslam_graph.study.run import carry_out
     from fvslam_graph.study.statistics import differences, verdicts
 
     outcome = carry_out(study, out, workers, scheduler, lambda rows, total: _progress(rows, total, study.name))
@@ -270,17 +269,13 @@ def _run(sequence: Sequence, config: Config, folder: Path) -> str:
     """Run, and say how many frames came out how."""
     from fvslam_graph.core.files import one_line
     from fvslam_graph.core.trajectory import Status
-    from fvslam_graph.pipeline import applicable, estimate, facts
-    from fvslam_graph.runs.run_folder import RunWriter
+    from fvslam_graph.pipeline import resolve_config, run_sequence
 
-    effective = applicable(config, sequence)
+    effective = resolve_config(config, sequence)
     if effective != config:
         typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
-    statuses: Counter[Status] = Counter()
-    with RunWriter(folder, effective, facts(sequence, effective), sequence.ground_truth) as writer:
-        for result in _progress(estimate(sequence, effective), len(sequence), sequence.name):
-            writer.add(result)
-            statuses[result.status] += 1
+    run = run_sequence(sequence, effective, folder, lambda results: _progress(results, len(sequence), sequence.name))
+    statuses = Counter(run.frames["status"].tolist())
     counts = ", ".join(f"{statuses[status]} {status}" for status in Status if statuses[status])
     if 2 * (statuses[Status.TRACKED] + statuses[Status.STATIC]) < len(sequence):
         typer.echo(

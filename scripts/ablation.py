@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from fvslam_graph.core.config import Mode
 from fvslam_graph.evaluation.plots import RUN_COLOURS
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.study.outcome import spread
+from fvslam_graph.study.results import spread
 
 MODES = {mode.value: (f"mode={mode}",) for mode in Mode}
 GRAPH = {

@@ -23,7 +23,8 @@ from fvslam_graph.core.config import Config, load_config
 from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.core.files import writing
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.pipeline import applicable, estimate, stages
+from fvslam_graph.estimator import estimate, stages
+from fvslam_graph.pipeline import resolve_config
 from fvslam_graph.runs.provenance import peak_memory_mb
 from fvslam_graph.sequences.open import open_sequence
 
@@ -44,7 +45,7 @@ def benchmark(
     sequence = open_sequence(path, frames=frames)
     if len(sequence) <= WARM_UP:
         raise FvslamError(f"{sequence.name} has {len(sequence)} frames, but the first {WARM_UP} only warm up")
-    config = applicable(load_config(preset, settings=settings or []), sequence)
+    config = resolve_config(load_config(preset, settings=settings or []), sequence)
     rows = summarise(stages(config), np.stack([measure(sequence, config) for _ in range(repeat)], axis=1))
 
     camera = sequence.camera

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.trajectory import Status
+from fvslam_graph.estimator import estimate
 from fvslam_graph.evaluation.nees import average_nees
-from fvslam_graph.pipeline import estimate
 from fvslam_graph.sequences.open import open_sequence
 
 PARTS = {"pose": slice(0, 6), "rotation": slice(0, 3), "translation": slice(3, 6)}

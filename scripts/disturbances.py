@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.frame_result import FrameResult
-from fvslam_graph.pipeline import applicable, estimate
+from fvslam_graph.estimator import estimate
+from fvslam_graph.pipeline import resolve_config
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.simulation.disturbed import DISTURBANCES, Disturbed
 
@@ -101,7 +102,7 @@ def main(
     print(f"{'':11} {'error m':>9} {'sigma m':>9} {'worst m':>9} {'during':>7} {'later':>7}  recovered after")
     for name in only or DISTURBANCES:
         disturbed = DISTURBANCES[name](sequence, round(at * len(sequence)), np.random.default_rng(seed))
-        config = applicable(config, disturbed.sequence)
+        config = resolve_config(config, disturbed.sequence)
         row = judge(disturbed, list(estimate(disturbed.sequence, config)), config.scale.relative)
         during, later = (
             row.inside(part) for part in (slice(disturbed.first, disturbed.after), slice(disturbed.after, None))

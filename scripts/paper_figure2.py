@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.core.slam_estimate import Outcome
+from fvslam_graph.estimator import estimate
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.plots import RUN_COLOURS, TRUTH, level_axes
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.pipeline import applicable, estimate, facts
+from fvslam_graph.pipeline import resolve_config, run_metadata
 from fvslam_graph.runs.results import collect
 from fvslam_graph.sequences.open import open_sequence
-from fvslam_graph.study.job import numbers
+from fvslam_graph.study.jobs import numbers
 
 MODES = {"vo": "VO", "vslam": "V-SLAM", "average": "our approach"}
 KINDS = {  # the paper's colours
@@ -45,15 +46,15 @@ def main(
         raise FvslamError(f"{sequence.name} has no ground truth to compare with")
     runs, evaluations = {}, {}
     for mode in MODES:
-        config = applicable(load_config(preset, settings=[f"mode={mode}", f"seed={seed}"]), sequence)
+        config = resolve_config(load_config(preset, settings=[f"mode={mode}", f"seed={seed}"]), sequence)
         runs[mode] = list(estimate(sequence, config))
-        run = collect(runs[mode], config, facts(sequence, config), sequence.ground_truth)
+        run = collect(runs[mode], config, run_metadata(sequence, config), sequence.ground_truth)
         evaluations[mode] = evaluation_of(run, align=Alignment.SIM3)
     searched = {r.index: r.slam.searched for r in runs["average"] if r.slam is not None and len(r.slam.searched)}
     middle = len(sequence) // 2 if shown is None else shown
     index = min(searched, key=lambda frame: abs(frame - middle))
 
-    down = facts(sequence, config)["down"]
+    down = run_metadata(sequence, config)["down"]
     level = level_axes(np.array((0.0, 1.0, 0.0) if down is None else down))
     start = evaluations["vo"].association.reference.poses[0].inverse().matrix()
 

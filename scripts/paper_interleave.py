@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.study.outcome import spread
+from fvslam_graph.study.results import spread
 
 DISTANCES = range(1, 11)
 SHOWN = {"ape": "APE after Sim(3) (m)", "ms": "time (ms/frame, mean)", "matched": "matches per V-SLAM frame"}

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.study.outcome import spread
+from fvslam_graph.study.results import spread
 
 WEIGHTS = [round(0.1 * step, 1) for step in range(11)]
 

@@ -8,7 +8,7 @@ import pytest
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.trajectory import Status
-from fvslam_graph.pipeline import estimate
+from fvslam_graph.estimator import estimate
 from fvslam_graph.simulation.disturbed import DISTURBANCES
 from fvslam_graph.testing import rendered
 

@@ -6,7 +6,8 @@ import shutil
 import pytest
 
 from fvslam_graph.core.config import load_config
-from fvslam_graph.pipeline import estimate, facts
+from fvslam_graph.estimator import estimate
+from fvslam_graph.pipeline import run_metadata
 from fvslam_graph.runs.run_folder import RunWriter
 from fvslam_graph.sequences.open import open_sequence
 
@@ -31,7 +32,7 @@ def finished(drive, tmp_path_factory):
     """A run without ground truth."""
     folder = tmp_path_factory.mktemp("runs") / "finished"
     sequence, config = open_sequence(drive, frames=":4"), load_config()
-    with RunWriter(folder, config, facts(sequence, config)) as writer:
+    with RunWriter(folder, config, run_metadata(sequence, config)) as writer:
         for result in estimate(sequence, config):
             writer.add(result)
     return folder

@@ -8,16 +8,17 @@ import pytest
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.trajectory import Status, Trajectory
+from fvslam_graph.estimator import estimate
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation, evaluate
-from fvslam_graph.pipeline import applicable, estimate
+from fvslam_graph.pipeline import resolve_config
 from fvslam_graph.sequences.open import open_sequence
 
 
 def run(path, preset: str = "tuned", frames: str = ":", settings: tuple[str, ...] = ()):
     """The sequence and the result of each of its frames."""
     sequence = open_sequence(path, frames=frames)
-    return sequence, list(estimate(sequence, applicable(load_config(preset, settings=settings), sequence)))
+    return sequence, list(estimate(sequence, resolve_config(load_config(preset, settings=settings), sequence)))
 
 
 def compare(sequence, results) -> Evaluation:

@@ -14,7 +14,7 @@ from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import SlamEstimate
-from fvslam_graph.pipeline import Eyes, estimate
+from fvslam_graph.estimator import FrontEnd, estimate
 from fvslam_graph.simulation.points import PointScene
 from fvslam_graph.simulation.scene_finder import SceneFinder, known_points
 from fvslam_graph.simulation.scene_tracker import SceneTracker
@@ -74,7 +74,7 @@ def run(scene: PointScene, config: Config, wrong: float = 0.0) -> Iterator[Frame
         error = math.sqrt(ORACLE_VARIANCE) * np.random.default_rng([config.seed, 3, a, b]).standard_normal()
         return float(np.linalg.norm(positions[b] - positions[a]) * math.exp(error))
 
-    eyes = Eyes(tracker, SceneFinder(scene, wrong, config.seed), baseline)
+    eyes = FrontEnd(tracker, SceneFinder(scene, wrong, config.seed), baseline)
     return estimate(scene.sequence("points"), config, eyes)
 
 

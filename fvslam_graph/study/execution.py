@@ -16,7 +16,7 @@ import cv2
 from fvslam_graph.core.errors import FvslamError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.runs.ownership import Kind, claimed, disown
-from fvslam_graph.study.job import Job, Row, Source, execute, kept, render
+from fvslam_graph.study.jobs import Job, Row, Source, execute, kept, render
 
 if TYPE_CHECKING:
     from distributed import Client

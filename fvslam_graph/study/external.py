@@ -15,8 +15,8 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import load_trajectory
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.runs.results import Run
-from fvslam_graph.study.job import Row, numbers
-from fvslam_graph.study.outcome import EXTERNAL
+from fvslam_graph.study.jobs import Row, numbers
+from fvslam_graph.study.results import EXTERNAL
 
 
 def external_run(name: str, file: str, sequence: Sequence) -> Run:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE, legible, save
 from fvslam_graph.runs.ownership import claim_files
-from fvslam_graph.study.outcome import EXTERNAL, Outcome
+from fvslam_graph.study.results import EXTERNAL, Outcome
 from fvslam_graph.study.statistics import COMPARED, Difference
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import yaml
 from fvslam_graph.core.files import write_file
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.runs.provenance import provenance
-from fvslam_graph.study.declaration import Study
-from fvslam_graph.study.outcome import COSTS, LABELS, Outcome
+from fvslam_graph.study.results import COSTS, LABELS, Outcome
+from fvslam_graph.study.spec import Study
 from fvslam_graph.study.statistics import Difference, differences_table, verdicts
 
 CAPTIONS = {

@@ -13,7 +13,7 @@ from scipy.stats import bootstrap
 
 from fvslam_graph.core.files import one_line
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.study.outcome import EXTERNAL, Outcome
+from fvslam_graph.study.results import EXTERNAL, Outcome
 
 CONFIDENCE = 0.95
 RESAMPLES = 9999

@@ -7,7 +7,7 @@ import pytest
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import CameraError, ConfigError, StudyError
 from fvslam_graph.core.yaml_files import MAX_SIZE, read_yaml_mapping
-from fvslam_graph.study.declaration import load_study
+from fvslam_graph.study.spec import load_study
 
 BAD = {
     "cut": (b"a: [1", "is not valid YAML: while parsing a flow sequence"),

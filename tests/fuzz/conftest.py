@@ -10,7 +10,8 @@ import pytest
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.pipeline import estimate, facts
+from fvslam_graph.estimator import estimate
+from fvslam_graph.pipeline import run_metadata
 from fvslam_graph.runs.run_folder import RunWriter
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.sequences.oxts import EARTH_RADIUS
@@ -138,7 +139,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     finished = root / "run" / "run"
     recording, config = open_sequence(plain), load_config(settings=["mode=graph", "scale.source=map"])
-    with RunWriter(finished, config, facts(recording, config), recording.ground_truth) as writer:
+    with RunWriter(finished, config, run_metadata(recording, config), recording.ground_truth) as writer:
         for result in estimate(recording, config):
             writer.add(result)
     return root

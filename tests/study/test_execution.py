@@ -10,8 +10,8 @@ from fvslam_graph.core.errors import StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study import execution
 from fvslam_graph.study.execution import execute_all
-from fvslam_graph.study.job import kept
-from fvslam_graph.study.outcome import COSTS, RESULTS, Outcome
+from fvslam_graph.study.jobs import kept
+from fvslam_graph.study.results import COSTS, RESULTS, Outcome
 
 SIM3 = Alignment.SIM3
 

@@ -14,12 +14,12 @@ import yaml
 from fvslam_graph.core.errors import ResultsError, StudyError
 from fvslam_graph.runs.ownership import Kind, claimed
 from fvslam_graph.runs.run_folder import read_run
-from fvslam_graph.study import carry_out as module
-from fvslam_graph.study import job as job_module
-from fvslam_graph.study.carry_out import carry_out
-from fvslam_graph.study.declaration import Study, comparison, default_folder, load_study
+from fvslam_graph.study import jobs as job_module
+from fvslam_graph.study import run as module
 from fvslam_graph.study.execution import execute_all
-from fvslam_graph.study.job import Source, render
+from fvslam_graph.study.jobs import Source, render
+from fvslam_graph.study.run import carry_out
+from fvslam_graph.study.spec import Study, comparison, default_folder, load_study
 
 TINY = "synthetic:uav?frames=12&size=160x120"
 
@@ -142,7 +142,7 @@ def test_other_systems_are_looked_at_first(drive, tmp_path, monkeypatch, unplott
 def test_what_a_run_lacks_is_said(job, tmp_path, monkeypatch):
     from fvslam_graph.core.errors import EstimationError
     from fvslam_graph.graph.factor_graph import Graph
-    from fvslam_graph.study.outcome import Outcome
+    from fvslam_graph.study.results import Outcome
 
     def fails(self):
         raise EstimationError("it is singular")
@@ -199,8 +199,8 @@ def test_a_study_that_was_stopped_and_gone_on_with_equals_an_undisturbed_one(
     script = f"""
 import os, signal
 from fvslam_graph import pipeline, cli
-from fvslam_graph.study import carry_out, job
-carry_out.draw_study = carry_out._draw_trajectories = lambda *arguments: []
+from fvslam_graph.study import run
+run.draw_study = run._draw_trajectories = lambda *arguments: []
 begun = 0
 def estimate(*arguments, estimate=pipeline.estimate):
     global begun
@@ -209,7 +209,7 @@ def estimate(*arguments, estimate=pipeline.estimate):
         if (begun, result.index) == ({runs}, 5):
             os.kill(os.getpid(), {int(stop)})
         yield result
-job.estimate = estimate
+pipeline.estimate = estimate
 import sys
 sys.argv = ["fvslam", "study", "study.yaml", "--out", "out", "--workers", "1"]
 cli.main()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.outcome import EXTERNAL, Outcome
+from fvslam_graph.study.results import EXTERNAL, Outcome
 from fvslam_graph.study.statistics import ALL, CONFIDENCE, differences, differences_table, interval, verdicts
 
 

@@ -25,11 +25,11 @@ from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
-from fvslam_graph.pipeline import applicable, estimate, facts
+from fvslam_graph.pipeline import run_sequence
 from fvslam_graph.runs.ownership import Kind, claimed, kind_of
 from fvslam_graph.runs.provenance import forget_peak_memory, provenance
 from fvslam_graph.runs.results import Run
-from fvslam_graph.runs.run_folder import RunWriter, read_run
+from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.sequences.open import open_sequence
 
 LARGEST = 2e9  # bytes of rendered images
@@ -142,22 +142,15 @@ def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = No
         if (row := kept(folder, align)) is not None:
             return row
         if not _finished(folder):
-            _run(job, folder, rendered)
+            sequence = _opened(job.source, rendered)
+            forget_peak_memory()
+            run_sequence(sequence, job.config, folder)
         run = read_run(folder)
         evaluation = evaluate_run(folder, align=align) if run.ground_truth is not None else None
         row = job.labels() | row_of(run, evaluation) | {"folder": folder.name}
         with writing(folder):
             write_json(_row_file(folder, align), row)
         return row
-
-
-def _run(job: Job, folder: Path, rendered: Path | None) -> None:
-    sequence = _opened(job.source, rendered)
-    config = applicable(job.config, sequence)
-    forget_peak_memory()
-    with RunWriter(folder, config, facts(sequence, config), sequence.ground_truth) as writer:
-        for result in estimate(sequence, config):
-            writer.add(result)
 
 
 def kept(folder: Path, align: Alignment) -> Row | None:

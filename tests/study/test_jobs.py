@@ -10,8 +10,8 @@ import pytest
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.runs.run_folder import read_run
-from fvslam_graph.study import job as job_module
-from fvslam_graph.study.job import execute, kept
+from fvslam_graph.study import jobs as job_module
+from fvslam_graph.study.jobs import execute, kept
 
 SIM3 = Alignment.SIM3
 
@@ -31,7 +31,7 @@ def test_what_was_done_is_not_done_again(job, tmp_path, monkeypatch):
     one = job()
     folder = one.folder(tmp_path)
     row = execute(one, folder, SIM3)
-    monkeypatch.setattr(job_module, "estimate", None)  # cannot be called
+    monkeypatch.setattr(job_module, "run_sequence", None)  # cannot be called
     assert repr(execute(one, folder, SIM3)) == repr(row) == repr(kept(folder, SIM3))  # NaN differs from itself
     assert kept(folder, Alignment.ORIGIN) is None
     other = execute(one, folder, Alignment.ORIGIN)  # evaluated anew, and not run

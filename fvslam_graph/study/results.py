@@ -14,7 +14,7 @@ import pandas as pd
 from fvslam_graph.core.files import write_file, writing
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.study.job import METRICS, Row
+from fvslam_graph.study.jobs import METRICS, Row
 
 LABELS = ("sequence", "mode", "preset", "variant")
 RESULTS = (
@@ -56,7 +56,7 @@ class Outcome:
 
     Attributes:
         table: One row a run. The columns RESULTS depend on input, settings and version alone; COSTS were measured. See
-            `fvslam_graph.study.job.row_of`.
+            `fvslam_graph.study.jobs.row_of`.
         align: How estimates were brought into the world of the ground truth.
     """
 

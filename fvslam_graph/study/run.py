@@ -15,13 +15,13 @@ from fvslam_graph.evaluation.plots import plot_runs
 from fvslam_graph.runs.ownership import Kind, claimed
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
-from fvslam_graph.study.declaration import Study
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.external import external_row
 from fvslam_graph.study.figures import SUFFIXES, draw_study
-from fvslam_graph.study.job import Row
-from fvslam_graph.study.outcome import Outcome
+from fvslam_graph.study.jobs import Row
 from fvslam_graph.study.report import write_report
+from fvslam_graph.study.results import Outcome
+from fvslam_graph.study.spec import Study
 from fvslam_graph.study.statistics import differences
 
 _log = logging.getLogger(__name__)

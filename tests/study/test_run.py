@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 
 from fvslam_graph.core.files import file_name
-from fvslam_graph.study.carry_out import carry_out
-from fvslam_graph.study.declaration import Study
+from fvslam_graph.study.run import carry_out
+from fvslam_graph.study.spec import Study
 
 from .conftest import SHORT
 

@@ -16,7 +16,7 @@ from fvslam_graph.core.files import file_name
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.job import Job, Source
+from fvslam_graph.study.jobs import Job, Source
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
