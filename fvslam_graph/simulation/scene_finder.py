@@ -10,7 +10,8 @@ from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.core.landmark_finder import Search
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.simulation.points import PointScene
-from fvslam_graph.slam.inverse_depth import Array
+
+Array = NDArray[np.float64]
 
 GATE = 13.816  # 99.9 % quantile of the chi-square distribution with two degrees of freedom: the rim of the ellipse
 LEAST_REACH = 20.0  # pixels at least that a wrong match may lie off

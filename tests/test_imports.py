@@ -1,0 +1,88 @@
+"""Imports run one way: from the faces down to the core."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "fvslam_graph"
+
+# The layers that a layer may import, besides itself.
+ALLOWED = {
+    "core": set(),
+    "features": {"core"},
+    "vo": {"core", "features"},
+    "slam": {"core", "features"},
+    "graph": {"core"},
+    "fusion": {"core", "graph"},
+    "simulation": {"core"},
+    "sequences": {"core"},
+    "estimator": {"core", "vo", "slam", "fusion"},
+    "runs": {"core"},
+    "pipeline": {"core", "estimator", "runs"},
+    "evaluation": {"core", "sequences", "simulation", "vo", "slam", "estimator", "runs"},
+    "study": {"core", "sequences", "pipeline", "runs", "evaluation"},
+}
+LOWER = set(ALLOWED)
+FACES = {
+    "api": LOWER,
+    "cli": LOWER | {"api"},
+    "testing": LOWER | {"api"},
+    "__main__": {"cli"},
+    "__init__": {"api", "testing"},
+}
+# What opens recordings opens synthetic worlds, too; all modes on simulated points are measured by evaluation.
+EXCEPTIONS = {"sequences/open.py": {"simulation"}}
+
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def layers(module: Path) -> set[str]:
+    """The layers that a module imports, also for types alone, and inside functions."""
+    found = set()
+    for node in ast.walk(ast.parse(module.read_text())):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [name.name for name in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names = [f"{node.module}.{name.name}" for name in node.names]
+        for name in names:
+            top, _, rest = name.partition(".")
+            if top == PACKAGE.name and rest and not rest.startswith("__version__"):
+                found.add(rest.split(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: str(module.relative_to(PACKAGE)))
+def test_a_layer_imports_lower_ones_alone(module):
+    name = module.relative_to(PACKAGE)
+    layer = name.parts[0].removesuffix(".py")
+    allowed = (ALLOWED | FACES)[layer] | {layer} | EXCEPTIONS.get(name.as_posix(), set())
+    assert layers(module) <= allowed
+
+
+def test_the_root_holds_faces_pipeline_and_estimator():
+    assert {path.stem for path in PACKAGE.glob("*.py")} == {*FACES, "pipeline", "estimator"}
+    assert {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()} == LOWER - {
+        "pipeline",
+        "estimator",
+    }
+
+
+@pytest.mark.parametrize(
+    ("library", "where"),
+    [
+        ("evo", {"core/trajectory.py", "evaluation/association.py", "evaluation/metrics.py"}),
+        ("dask", {"study/execution.py"}),
+        ("distributed", {"study/execution.py"}),
+    ],
+)
+def test_libraries_that_few_modules_import(library, where):
+    found = set()
+    for module in MODULES:
+        for node in ast.walk(ast.parse(module.read_text())):
+            names = [name.name for name in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            if any(name.split(".")[0] == library for name in names):
+                found.add(module.relative_to(PACKAGE).as_posix())
+    assert found <= where
