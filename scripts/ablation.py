@@ -18,10 +18,10 @@ GRAPH = {
     "no landmarks": ("graph.landmarks=none",),
     "Huber's kernel": ("graph.kernel=huber", "graph.kernel_width=1.345"),
     "no kernel": ("graph.kernel=none",),
-    "lengths independent of each other": ("graph.lengths=independent",),
-    "landmarks that err each on its own": ("graph.shared_noise=0",),
-    "pixels counted twice": ("graph.counting=double",),
-    "tracks of landmarks left out of odometry": ("graph.counting=disjoint",),
+    "lengths independent of each other": ("graph.scale_model=independent",),
+    "landmarks that err each on its own": ("graph.common_noise=0",),
+    "pixels counted twice": ("graph.shared_pixels=ignore",),
+    "tracks of landmarks left out of odometry": ("graph.shared_pixels=exclude",),
     "odometry deflated by 2": ("graph.deflation=2",),
     "no alignment with reference patches": ("slam.alignment=false",),
     "any zoom": ("graph.max_zoom=100",),
@@ -29,7 +29,7 @@ GRAPH = {
     "k = 1": ("slam.interleave=1",),
     "k = 2": ("slam.interleave=2",),
     "k = 10": ("slam.interleave=10",),
-    "online: where the graph has the camera": ("graph.online=pose",),
+    "online: where the graph has the camera": ("graph.online=latest",),
 }
 VARIANTS = MODES | {f"graph, {name}": ("mode=graph", *settings) for name, settings in GRAPH.items()}
 

@@ -35,8 +35,8 @@ SETTINGS = (
     f"slam.pixel_sigma={NOISE}",
     f"graph.pixel_sigma={NOISE}",
     f"vo.ransac_threshold={2 * NOISE}",
-    "graph.shared_noise=0",  # points err each on its own,
-    "graph.counting=disjoint",  # so that landmarks weigh as much as odometry's tracks
+    "graph.common_noise=0",  # points err each on its own,
+    "graph.shared_pixels=exclude",  # so that landmarks weigh as much as odometry's tracks
 )
 
 Outcome = tuple[NDArray[np.float64], NDArray[np.float64]]

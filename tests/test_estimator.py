@@ -224,9 +224,9 @@ def test_visual_slam_that_starts_from_odometry_is_honest():
     assert 3 < np.mean(values) < 8  # measured 5.2
 
 
-@pytest.mark.parametrize("online", ["steady", "pose"])
+@pytest.mark.parametrize("online", ["continuous", "latest"])
 def test_the_graph_at_every_fifth_frame(flown, estimated, online):
-    results = estimated("mode=graph", *(["graph.online=pose"] if online == "pose" else []))
+    results = estimated("mode=graph", *(["graph.online=latest"] if online == "latest" else []))
     ran = [result for result in results if result.slam is not None]
     assert np.all(np.diff([result.index for result in ran]) == 5)
     assert {result.status for result in results[1:]} == {Status.TRACKED}
@@ -235,7 +235,7 @@ def test_the_graph_at_every_fifth_frame(flown, estimated, online):
     own = ran[-1].graph.pose(ran[-1].index).mean
     assert ran[-1].pose.mean.rotation().equals(own.rotation(), 1e-9)
     apart = np.linalg.norm(ran[-1].pose.mean.translation() - own.translation())
-    assert (1e-3 < apart < 1) if online == "steady" else apart == 0  # metres
+    assert (1e-3 < apart < 1) if online == "continuous" else apart == 0  # metres
     smoothed = results[-1].graph.smoothed()
     assert len(smoothed) == 24
     error = smoothed.poses[-1].between(flown.ground_truth.poses[23])
@@ -269,8 +269,11 @@ def test_thirty_black_images(flown):
 
 def test_what_the_graph_knows_of_the_pose_is_not_counted_twice(estimated):
     """Tracks that are landmarks are left out of odometry, which then comes out otherwise."""
-    assert load_config().graph.counting == "deflated"
-    runs = [estimated("mode=graph", *change) for change in (["graph.counting=disjoint"], ["graph.counting=double"], [])]
+    assert load_config().graph.shared_pixels == "deflate"
+    runs = [
+        estimated("mode=graph", *change)
+        for change in (["graph.shared_pixels=exclude"], ["graph.shared_pixels=ignore"], [])
+    ]
     apart = [
         [np.abs(a.pose.mean.localCoordinates(b.pose.mean)).max() for a, b in zip(runs[0], other, strict=True)]
         for other in runs[1:]

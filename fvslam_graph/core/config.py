@@ -73,8 +73,8 @@ class ScaleSettings(_Group):
 
     source: ScaleSource = ScaleSource.PLANE
     plane_sigma: PositiveFloat = 0.02  # of log scale from one view of the plane,
-    shared_sigma: PositiveFloat = 0.04  # and of what it has in common with neighbouring views,
-    shared_keyframes: PositiveFloat = 5.0  # which decays to a third over so many
+    bias_sigma: PositiveFloat = 0.04  # and of what it has in common with neighbouring views,
+    bias_correlation_keyframes: PositiveFloat = 5.0  # which decays to a third over so many
     map_sigma: PositiveFloat = 0.006  # of log scale, added for each keyframe over which the map carries it
     ground: GroundSettings = GroundSettings()
 
@@ -133,19 +133,19 @@ class GraphSettings(_Group):
     landmarks: Literal["projection", "bearing_range", "smart", "none"] = "projection"
     kernel: Literal["huber", "cauchy", "geman_mcclure", "none"] = "cauchy"
     kernel_width: PositiveFloat = 2.385  # deviations beyond which a measurement counts for less; 95 % efficient
-    # No pixel counts twice: odometry counts for as much less as landmarks count (with `shared_noise`, that is little),
+    # No pixel counts twice: odometry counts for as much less as landmarks count (with `common_noise`, that is little),
     # or it does without tracks that are landmarks.
-    counting: Literal["deflated", "disjoint", "double"] = "deflated"
-    deflation: PositiveFloat = 1.02  # of the covariance of odometry, where `deflated`
+    shared_pixels: Literal["deflate", "exclude", "ignore"] = "deflate"
+    deflation: PositiveFloat = 1.02  # of the covariance of odometry, where `deflate`
     # Odometry's lengths have a scale in common, which is smoothed with all else; or each one its own.
-    lengths: Literal["chained", "independent"] = "chained"
+    scale_model: Literal["chain", "independent"] = "chain"
     # The online pose: where the graph has the camera, but what lies behind it in the scale in which it was published,
     # so that learning the scale does not bend the path, and corrections over an interval; or all as it is known now,
     # which makes the camera jump.
-    online: Literal["steady", "pose"] = "steady"
+    online: Literal["continuous", "latest"] = "continuous"
     pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark along each axis, until its noise was measured
     # What all landmarks of an image err alike, in deviations of one of them: their number does not average that out.
-    shared_noise: float = Field(1.0, ge=0)
+    common_noise: float = Field(1.0, ge=0)
     # How well the calibration is known that the images come with, as a rule: it is estimated with all else.
     focal_sigma: float = Field(0.001, ge=0)  # share of the focal length
     distortion_sigma: float = Field(0.001, ge=0)  # radial, k1
@@ -184,7 +184,7 @@ class Config(_Group):
     @property
     def tracks_apart(self) -> bool:
         """Whether odometry does without tracks that are landmarks."""
-        return self.mode is Mode.GRAPH and self.graph.counting == "disjoint"
+        return self.mode is Mode.GRAPH and self.graph.shared_pixels == "exclude"
 
     @property
     def needs_odometry(self) -> bool:

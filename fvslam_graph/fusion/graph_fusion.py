@@ -89,12 +89,12 @@ class GraphFusion(Fusion):
         fused = self.graph.fuse(views)
         expected = self._poses[self._newest].mean.translation()
         away = np.zeros(3)
-        if self._settings.online == "steady":
+        if self._settings.online == "continuous":
             # What lies behind the last P_f in the scale in which it was published, the motion since in that of now.
             away = (self._published_scale() - 1) * self.graph.positions([before])[0]
         self._poses = {frame: _moved(self.graph.pose(frame), away) for frame in self._poses if self.graph.has(frame)}
         self._reference = ScaledPose.of(self._poses[self._newest])
-        if self._settings.online == "steady":
+        if self._settings.online == "continuous":
             self._left = math.exp(-1 / (self._newest - before))
             self._step = self._step + self._left * (expected - self.reference.mean.translation())
         self._published[self._newest] = self.reference.mean.translation()

@@ -234,7 +234,7 @@ class Graph:
         """The factors of a motion of odometry."""
         motion, told = step.prev_T_cur, False
         length = float(np.linalg.norm(motion.mean.translation()))
-        if self.settings.lengths == "chained" and step.scale_variance > 0:
+        if self.settings.scale_model == "chain" and step.scale_variance > 0:
             for key in self._scales.extend(step.previous, index, step.scale, step.scale_variance):
                 self._seen[key] = self._stamps[index]
             motion = motion.with_scale_variance(-step.scale_variance)

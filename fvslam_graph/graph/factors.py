@@ -120,7 +120,7 @@ def motion_noise(prev_T_cur: GaussianPose, settings: GraphSettings, length: bool
 
 def _counted(motion: GaussianPose, settings: GraphSettings) -> Array:
     """Its covariance (6, 6), where pixels of landmarks are not to count twice."""
-    factor = settings.deflation if settings.counting == "deflated" else 1.0
+    factor = settings.deflation if settings.shared_pixels == "deflate" else 1.0
     counted: Array = factor * motion.covariance + LEAST_VARIANCE * np.eye(6)
     return counted
 
@@ -190,7 +190,7 @@ class LandmarkFactors:
         s^2 v v^T, whatever the pattern v of numbers up to 1, is at most N s^2 I, for N landmarks: with that added to
         the variance of each one, they may be taken as independent.
         """
-        return sigma * math.sqrt(1 + count * self._settings.shared_noise**2)
+        return sigma * math.sqrt(1 + count * self._settings.common_noise**2)
 
     def projection(self, frame: int, landmark: int, pixel: Array, sigma: float, count: int) -> gtsam.NonlinearFactor:
         """A pixel (2,) by the camera's estimated calibration, see `deviation`.

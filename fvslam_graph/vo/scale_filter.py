@@ -22,8 +22,8 @@ class ScaleFilter:
     """
 
     def __init__(self, settings: ScaleSettings) -> None:
-        self.variance = settings.shared_sigma**2  # of the shared error where nothing is known of it
-        self.decay = math.exp(-1 / settings.shared_keyframes)  # from one keyframe to the next
+        self.variance = settings.bias_sigma**2  # of the shared error where nothing is known of it
+        self.decay = math.exp(-1 / settings.bias_correlation_keyframes)  # from one keyframe to the next
         self._shared = LogScale(0.0, self.variance)
         self._covariance = 0.0  # of the scale and the shared error
 

@@ -42,7 +42,7 @@ def test_odometry_carries_on_as_the_graph_will_have_it(last):
 
     In particular, the motion to frame 2 is not counted for those that do not depend on it.
     """
-    fusion = flown(GraphSettings(kernel="none", counting="double", online="pose"))
+    fusion = flown(GraphSettings(kernel="none", shared_pixels="ignore", online="latest"))
     before = fusion.pose
     fusion.fuse(GaussianPose.identity(), GaussianPose.identity(), None)
     assert before.mean.equals(fusion.pose.mean, 1e-9)

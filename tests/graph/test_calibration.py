@@ -27,7 +27,7 @@ VALUE = gtsam.Cal3Bundler(460.0, 0.02, 0.001, CAMERA.cx, CAMERA.cy)
 
 
 def test_the_factor_sees_what_the_camera_sees():
-    settings = GraphSettings(kernel="none", shared_noise=0.0)
+    settings = GraphSettings(kernel="none", common_noise=0.0)
     factors, points = (
         LandmarkFactors(CAMERA, settings),
         np.random.default_rng(0).uniform((-3, -2, 4), (3, 2, 8), (20, 3)),

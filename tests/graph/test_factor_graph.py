@@ -68,7 +68,7 @@ def test_motions_and_covariances_are_honest(fed, seeds):
     assert 4.5 < np.mean(values) < 7.5  # six degrees of freedom
 
 
-@pytest.mark.parametrize("shared", [{}, {"shared_noise": GraphSettings().shared_noise}], ids=["own", "shared"])
+@pytest.mark.parametrize("shared", [{}, {"common_noise": GraphSettings().common_noise}], ids=["own", "shared"])
 def test_a_fifth_of_gross_outliers(error_fed, shared):
     """In odometry and landmarks, after a clean start; a path may be lost where last bits decide."""
     clean = np.median([error_fed(seed=seed, **shared) for seed in SEEDS])

@@ -21,7 +21,7 @@ from fvslam_graph.graph.factors import (
     robust,
 )
 
-PLAIN = GraphSettings(kernel="none", counting="double")
+PLAIN = GraphSettings(kernel="none", shared_pixels="ignore")
 CAMERA = Camera(640, 480, 450.0, 440.0, 319.5, 239.5)
 MOTION = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.05, 0.1), np.array([0.3, -0.1, 1.5]))
 
@@ -101,7 +101,7 @@ def test_a_motion_without_direction_has_six_degrees_of_freedom():
 
 def test_deflated_odometry_counts_for_less():
     at = poses(gtsam.Pose3(), MOTION)
-    deflated = PLAIN.model_copy(update={"counting": "deflated", "deflation": 4.0})
+    deflated = PLAIN.model_copy(update={"shared_pixels": "deflate", "deflation": 4.0})
     full, less = (information([motion_factor(0, 1, metric(1e-4), s)], at) for s in (PLAIN, deflated))
     assert less == pytest.approx(full / 4, rel=1e-3, abs=1e-3 * np.abs(full).max())
 

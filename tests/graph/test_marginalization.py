@@ -57,7 +57,7 @@ def _graph(*parts: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
 @pytest.fixture(scope="module")
 def small() -> Small:
     scene, rng = simulate_drive(frames=10, seed=2, noise=PIXEL, landmarks=1500), np.random.default_rng(2)
-    settings = GraphSettings(shared_noise=0.0)
+    settings = GraphSettings(common_noise=0.0)
     motions, sightings, values = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph(), gtsam.Values()
     poses = scene.trajectory.poses
     factors = LandmarkFactors(scene.camera, settings)

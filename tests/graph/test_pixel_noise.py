@@ -54,7 +54,7 @@ def test_nothing_is_learnt_from_too_little():
 def test_landmarks_together_know_no_more_than_their_shared_error_allows():
     """The information of N landmarks about what they all measure."""
     scene = simulate_drive(frames=2, seed=0)
-    factors = LandmarkFactors(scene.camera, GraphSettings(shared_noise=1.5))
+    factors = LandmarkFactors(scene.camera, GraphSettings(common_noise=1.5))
     for count in (1, 10, 1000):
         variance = factors.deviation(0.2, count) ** 2 / count
         assert variance >= (1.5 * 0.2) ** 2

@@ -39,7 +39,7 @@ def steps(count: int, seed: int = 0) -> list[ScaleStep]:
     for number in range(count):
         carried = LogScale(known.mean + DRIFT * rng.standard_normal() * (number > 0), DRIFT**2 if number else 1.0)
         predicted = LogScale(carried.mean, carried.variance + (known.variance if number else 0.0))
-        shared = scales.decay * shared + SETTINGS.shared_sigma * math.sqrt(1 - scales.decay**2) * rng.standard_normal()
+        shared = scales.decay * shared + SETTINGS.bias_sigma * math.sqrt(1 - scales.decay**2) * rng.standard_normal()
         said = math.log(METRES) + shared + SETTINGS.plane_sigma * rng.standard_normal()
         plane = None if number % 7 == 3 else LogScale(said, SETTINGS.plane_sigma**2)
         known = scales.update(predicted, plane)
@@ -108,21 +108,21 @@ def test_earlier_lengths_are_smoothed():
 
 def test_the_published_path_is_not_bent_by_what_is_learnt_of_its_scale():
     """Of what scales differ by, the shape of a path has only what it has in no single scale."""
-    bent: dict[str, list[float]] = {"steady": [], "pose": []}
+    bent: dict[str, list[float]] = {"continuous": [], "latest": []}
     truth = np.array([pose.translation() for pose in TRUE])
     for seed in range(12):
         for online, errors in bent.items():
             path = np.array([pose.mean.translation() for pose in published(seed, online)])
             scale = (path * truth).sum() / (path**2).sum()
             errors.append(float(np.sqrt(((scale * path - truth) ** 2).sum(axis=1).mean())))
-    steady, own = np.median(bent["steady"]), np.median(bent["pose"])
-    assert 0.05 < steady < 0.6 * own  # metres on 75 m; measured 0.15 and 0.36
+    continuous, own = np.median(bent["continuous"]), np.median(bent["latest"])
+    assert 0.05 < continuous < 0.6 * own  # metres on 75 m; measured 0.15 and 0.36
 
 
 @pytest.mark.parametrize("seeds", [range(30), pytest.param(range(30, 150), marks=pytest.mark.slow, id="many")])
 def test_what_is_published_is_as_far_off_as_it_says(seeds):
     """To what the graph is unsure of comes how far from its own pose the published one is."""
-    last = [published(seed, "steady")[-1] for seed in seeds]
+    last = [published(seed, "continuous")[-1] for seed in seeds]
     errors = np.array([gtsam.Pose3.Logmap(estimate.mean.between(TRUE[-1])) for estimate in last])
     values = nees(errors, np.array([estimate.covariance for estimate in last]))[0]
     assert 1 < values.mean() < 3  # lengths alone err, along a curve: of six numbers at most three; measured 2.0
@@ -142,7 +142,7 @@ def test_a_path_that_moves_by_more_than_a_step():
 
 def test_as_independent_ones_lengths_stay_as_they_are():
     made = steps(20)
-    graph = fed(made, lengths="independent")
+    graph = fed(made, scale_model="independent")
     assert lengths(graph) == pytest.approx([step.length.metres for step in made], rel=1e-6)
 
 
@@ -151,12 +151,12 @@ def test_a_scale_in_common_does_not_average_out():
     made = [ScaleStep(LogScale(math.log(METRES), 0.05**2), LogScale(math.log(METRES), 0.05**2 if n == 0 else 1e-8))
             for n in range(20)]  # fmt: skip
     spread = {}
-    for kind in ("chained", "independent"):
-        graph = fed(made, lengths=kind)
+    for kind in ("chain", "independent"):
+        graph = fed(made, scale_model=kind)
         pose = graph.pose(20)
         far = pose.mean.rotation().unrotate(pose.mean.translation())
         spread[kind] = math.sqrt(far @ pose.covariance[3:, 3:] @ far) / (far @ far)
-    assert spread["chained"] == pytest.approx(0.05, rel=0.02)
+    assert spread["chain"] == pytest.approx(0.05, rel=0.02)
     assert spread["independent"] < 0.02
 
 

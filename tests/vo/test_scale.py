@@ -131,7 +131,7 @@ def test_oracle_without_an_answer(world, answer):
 
 def test_plane_and_map_are_fused(world):
     plumb = Plumb(1.1 * BASELINE / HEIGHT, 0.01**2)
-    scale, learnt = estimate(world, "plane", aligner=plumb, plane_sigma=0.03, shared_sigma=0.04, map_sigma=0.005)
+    scale, learnt = estimate(world, "plane", aligner=plumb, plane_sigma=0.03, bias_sigma=0.04, map_sigma=0.005)
     carried, seen = 1 / (0.02**2 + 0.005**2), 1 / (0.01**2 + 0.03**2 + 0.04**2)  # information
     assert scale.mean == pytest.approx(math.log(BASELINE) + math.log(1.1) * seen / (carried + seen), rel=1e-6)
     assert scale.variance == pytest.approx(1 / (carried + seen), rel=1e-6)

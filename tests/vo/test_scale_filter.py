@@ -7,7 +7,7 @@ from fvslam_graph.core.config import ScaleSettings
 from fvslam_graph.core.gaussian_pose import LogScale
 from fvslam_graph.vo.scale_filter import ScaleFilter
 
-SETTINGS = ScaleSettings(plane_sigma=0.02, shared_sigma=0.04, shared_keyframes=5.0, map_sigma=0.006)
+SETTINGS = ScaleSettings(plane_sigma=0.02, bias_sigma=0.04, bias_correlation_keyframes=5.0, map_sigma=0.006)
 START = 0.05  # deviation of the first scale
 KEYFRAMES, RUNS = 60, 400
 
@@ -16,11 +16,11 @@ def drive(settings: ScaleSettings, seed: int, silent=range(0)) -> tuple[float, f
     """Error of the scale and its variance after some keyframes of a world that is as SETTINGS say."""
     rng = np.random.default_rng(seed)
     scales = ScaleFilter(settings)
-    decay = np.exp(-1 / SETTINGS.shared_keyframes)
-    shared = SETTINGS.shared_sigma * rng.standard_normal()
+    decay = np.exp(-1 / SETTINGS.bias_correlation_keyframes)
+    shared = SETTINGS.bias_sigma * rng.standard_normal()
     error, variance = START * rng.standard_normal(), START**2
     for keyframe in range(KEYFRAMES):
-        shared = decay * shared + np.sqrt(1 - decay**2) * SETTINGS.shared_sigma * rng.standard_normal()
+        shared = decay * shared + np.sqrt(1 - decay**2) * SETTINGS.bias_sigma * rng.standard_normal()
         error += SETTINGS.map_sigma * rng.standard_normal()
         variance += SETTINGS.map_sigma**2
         plane = LogScale(shared + SETTINGS.plane_sigma * rng.standard_normal(), SETTINGS.plane_sigma**2)
@@ -38,13 +38,13 @@ def test_it_is_honest(silent):
 
 def test_independent_errors_would_be_too_sure():
     """Why there is a second state: the same world, and a filter that knows the same sizes, but not what lasts."""
-    alone = SETTINGS.model_copy(update={"shared_sigma": 1e-6, "plane_sigma": 0.045})
+    alone = SETTINGS.model_copy(update={"bias_sigma": 1e-6, "plane_sigma": 0.045})
     errors, variances = np.array([drive(alone, seed) for seed in range(RUNS)]).T
     assert np.mean(errors**2 / variances) > 1.5
 
 
 def test_without_a_shared_error_it_is_the_kalman_filter():
-    scales = ScaleFilter(SETTINGS.model_copy(update={"shared_sigma": 1e-9}))
+    scales = ScaleFilter(SETTINGS.model_copy(update={"bias_sigma": 1e-9}))
     scale, measured = LogScale(1.0, 1 / 25), LogScale(1.5, 1 / 100)
     for count in range(1, 4):
         scale = scales.update(scale, measured)
@@ -60,7 +60,7 @@ def test_what_is_known_of_the_shared_error_outlasts_the_map():
         scales.update(LogScale(0.0, 1e-8), LogScale(0.1, 1e-4))  # a certain map: the ground looks 10 % too large
     scales.forget()
     fresh = scales.update(LogScale(0.0, 1.0), LogScale(0.1, 1e-4))
-    assert fresh.mean == pytest.approx(0.1 * (1 - np.exp(-1 / SETTINGS.shared_keyframes)), abs=0.01)
+    assert fresh.mean == pytest.approx(0.1 * (1 - np.exp(-1 / SETTINGS.bias_correlation_keyframes)), abs=0.01)
     naive = ScaleFilter(SETTINGS).update(LogScale(0.0, 1.0), LogScale(0.1, 1e-4))
     assert naive.mean == pytest.approx(0.1, abs=0.01)
 
