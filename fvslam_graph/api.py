@@ -15,7 +15,7 @@ from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.pipeline import run_sequence
 from fvslam_graph.runs.results import Run
 from fvslam_graph.sequences.open import open_sequence
-from fvslam_graph.study.results import Outcome
+from fvslam_graph.study.results import StudyResults
 from fvslam_graph.study.run import carry_out
 from fvslam_graph.study.spec import comparison, default_folder
 
@@ -80,7 +80,7 @@ def compare(
     align: str = "sim3",
     out: str | Path | None = None,
     workers: int = 1,
-) -> Outcome:
+) -> StudyResults:
     """Run several modes on one sequence, over several seeds, beside the trajectories of other systems.
 
     Args:

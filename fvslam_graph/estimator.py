@@ -11,19 +11,19 @@ import numpy as np
 
 from fvslam_graph.core.config import Config, Mode, ScaleSource
 from fvslam_graph.core.frame_result import FrameResult
-from fvslam_graph.core.gaussian_pose import VAGUE, GaussianPose
+from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, GaussianPose
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.core.landmark_finder import LandmarkFinder
 from fvslam_graph.core.sequence import DuplicateFilter, Frame, Sequence
-from fvslam_graph.core.slam_estimate import Outcome, SlamEstimate
+from fvslam_graph.core.slam_estimate import MatchOutcome, SlamEstimate
 from fvslam_graph.core.stopwatch import Stopwatch
-from fvslam_graph.core.tracks import Association
+from fvslam_graph.core.tracks import FeatureTracker
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.core.vo_estimate import VoEstimate
 from fvslam_graph.fusion.fusion import Fusion, RuleFusion, SlamAlone
 from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.fusion.rules import Average, Intersection
-from fvslam_graph.fusion.schedule import Interleave
+from fvslam_graph.fusion.schedule import InterleaveSchedule
 from fvslam_graph.slam.patch_finder import PatchFinder
 from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.vo.odometry import VisualOdometry
@@ -37,12 +37,12 @@ class FrontEnd:
     """What is seen, in place of images.
 
     Attributes:
-        association: Finds points for odometry,
+        tracker: Finds points for odometry,
         finder: and for visual SLAM.
         baseline: What the scale source `oracle` says of the distance between two frames by index, metres.
     """
 
-    association: Association
+    tracker: FeatureTracker
     finder: LandmarkFinder
     baseline: Callable[[int, int], float]
 
@@ -52,26 +52,26 @@ def stages(config: Config) -> tuple[str, ...]:
     return ("read", *VO_STAGES) if config.mode is Mode.VO else ("read", *VO_STAGES, *SLAM_STAGES)
 
 
-def estimate(sequence: Sequence, config: Config, eyes: FrontEnd | None = None) -> Iterator[FrameResult]:
+def estimate(sequence: Sequence, config: Config, front_end: FrontEnd | None = None) -> Iterator[FrameResult]:
     """Run the configured mode over a sequence: one result a frame, in order, as soon as it is known.
 
     Args:
         sequence: Its frames are read one by one.
         config: Mode, settings and seed.
-        eyes: What is seen, in place of images.
+        front_end: What is seen, in place of images.
 
     Raises:
         ConfigError: The scale source needs what the sequence does not have.
     """
-    baseline = eyes.baseline if eyes else _true_baseline(sequence, config)
-    association = eyes.association if eyes else None
-    begin_vo = partial(VisualOdometry, sequence.camera, config, sequence.ground, baseline, association)
+    baseline = front_end.baseline if front_end else _true_baseline(sequence, config)
+    tracker = front_end.tracker if front_end else None
+    begin_vo = partial(VisualOdometry, sequence.camera, config, sequence.ground, baseline, tracker)
     vo = begin_vo()
-    metres = _MetresAgain(begin_vo, possible=not config.needs_odometry and not config.scale.relative)
-    finder = eyes.finder if eyes else PatchFinder(sequence.camera, config.features, config.slam)
+    metres = _MetricRecovery(begin_vo, possible=not config.needs_odometry and not config.scale.relative)
+    finder = front_end.finder if front_end else PatchFinder(sequence.camera, config.features, config.slam)
     vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
     fusion = _fusion(sequence, config)
-    interleave = Interleave(config.interleave, config.slam.shorten)
+    interleave = InterleaveSchedule(config.interleave, config.slam.shorten)
     duplicates = DuplicateFilter()
     for index in range(len(sequence)):
         stopwatch = Stopwatch()
@@ -95,7 +95,7 @@ def estimate(sequence: Sequence, config: Config, eyes: FrontEnd | None = None) -
             prior = fusion.motion if config.odometry_is_prior else None
             slam = vslam.step(frame, prior, _followed(odometry, config))
             previous, status, found = slam.previous, slam.status, slam.status is Status.TRACKED
-            interleave.turned_out(well=found)
+            interleave.report(well=found)
 
             # P_f: both fused, and the reference from which both go on.
             with stopwatch.stage("fusion"):
@@ -125,7 +125,7 @@ def estimate(sequence: Sequence, config: Config, eyes: FrontEnd | None = None) -
         )
 
 
-class _MetresAgain:
+class _MetricRecovery:
     """Odometry beside visual SLAM alone, from where this has made a map on its own, which knows no metres.
 
     Args:
@@ -174,7 +174,7 @@ def _start(
     points, seconds = odometry.points, frame.stamp - float(sequence.stamps[odometry.previous])
     if odometry.status is not Status.TRACKED or len(points) < config.slam.min_landmarks:
         return None
-    if points.log_variance >= VAGUE and not config.scale.relative:
+    if points.log_variance >= UNINFORMATIVE_VARIANCE and not config.scale.relative:
         return None
     return vslam.start(frame, pose, odometry.prev_T_cur, seconds, points)
 
@@ -205,12 +205,18 @@ def _measures(config: Config, odometry: VoEstimate | None, slam: SlamEstimate | 
     }
     if config.mode is Mode.VO:
         return measures
-    outcomes = np.bincount(slam.searched.outcome, minlength=len(Outcome)) if slam else np.full(len(Outcome), math.nan)
-    searched = outcomes[[Outcome.UNMATCHED, Outcome.REJECTED, Outcome.INLIER, Outcome.RESCUED]].sum()
+    outcomes = (
+        np.bincount(slam.searched.outcome, minlength=len(MatchOutcome))
+        if slam
+        else np.full(len(MatchOutcome), math.nan)
+    )
+    searched = outcomes[
+        [MatchOutcome.UNMATCHED, MatchOutcome.REJECTED, MatchOutcome.INLIER, MatchOutcome.RESCUED]
+    ].sum()
     return measures | {
         "landmarks": float(searched),
-        "matched": float(searched - outcomes[Outcome.UNMATCHED]),
-        "measured": float(outcomes[Outcome.INLIER] + outcomes[Outcome.RESCUED]),
+        "matched": float(searched - outcomes[MatchOutcome.UNMATCHED]),
+        "measured": float(outcomes[MatchOutcome.INLIER] + outcomes[MatchOutcome.RESCUED]),
         "interval": slam.index - slam.previous if slam else math.nan,
         "map_scale_sigma": slam.scale_sigma if slam else math.nan,
     }

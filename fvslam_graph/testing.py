@@ -63,7 +63,7 @@ def assert_ape_below(
     __tracebackhide__ = True
     evaluation = evaluate(estimated, reference, align)
     truth = reference or (estimated.ground_truth if isinstance(estimated, Run) else None)
-    poses, frames = len(evaluation.association.indices), len(truth) if truth else 0
+    poses, frames = len(evaluation.pairs.indices), len(truth) if truth else 0
     assert poses >= coverage * frames, f"{poses} of {frames} frames have a pose, fewer than {100 * coverage:g} %"
     error = evaluation.errors["ape_trans"].stats["rmse"]
     assert error < limit, f"APE {error:.4g} m (RMSE, {align} alignment) is not below {limit:g} m"

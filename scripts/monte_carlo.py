@@ -39,23 +39,23 @@ SETTINGS = (
     "graph.shared_pixels=exclude",  # so that landmarks weigh as much as odometry's tracks
 )
 
-Outcome = tuple[NDArray[np.float64], NDArray[np.float64]]
+Errors = tuple[NDArray[np.float64], NDArray[np.float64]]
 """NEES and position errors (m) of each frame after the first two, (frames,) each."""
 
 
-def known_start(wrong: float, kind: str, frames: int, seed: int) -> Outcome:
+def known_start(wrong: float, kind: str, frames: int, seed: int) -> Errors:
     """Visual SLAM that starts from known depths, with a share of wrong matches."""
     scene = SCENES[kind](frames=frames + 2, seed=seed, noise=NOISE, landmarks=LANDMARKS)
     estimates = list(run_vslam(scene, SlamSettings(pixel_sigma=NOISE), seed, wrong))[1:]
-    return _outcome(*pose_errors(scene, estimates))
+    return _errors(*pose_errors(scene, estimates))
 
 
-def whole_mode(mode: Mode, kind: str, frames: int, seed: int) -> Outcome:
+def whole_mode(mode: Mode, kind: str, frames: int, seed: int) -> Errors:
     """Any mode, as it runs on images."""
     scene = SCENES[kind](frames=frames + 2, seed=seed, noise=NOISE, landmarks=LANDMARKS)
     config = load_config(settings=[f"mode={mode}", f"seed={seed}", *SETTINGS])
     errors, covariances = pose_errors(scene, run(scene, config))
-    return _outcome(errors[2:], covariances[2:])
+    return _errors(errors[2:], covariances[2:])
 
 
 def main(
@@ -98,7 +98,7 @@ def main(
 
 def _runs(
     pool: ProcessPoolExecutor,
-    kinds: Mapping[str, Callable[[str, int, int], Outcome]],
+    kinds: Mapping[str, Callable[[str, int, int], Errors]],
     kind: str,
     frames: int,
     seeds: int,
@@ -110,7 +110,7 @@ def _runs(
         yield label, values, errors
 
 
-def _outcome(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> Outcome:
+def _errors(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> Errors:
     return nees(errors, covariances)[0], np.linalg.norm(errors[:, 3:], axis=1)
 
 

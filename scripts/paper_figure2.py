@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import FvslamError
-from fvslam_graph.core.slam_estimate import Outcome
+from fvslam_graph.core.slam_estimate import MatchOutcome
 from fvslam_graph.estimator import estimate
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.plots import RUN_COLOURS, TRUTH, level_axes
@@ -27,9 +27,9 @@ from fvslam_graph.study.jobs import numbers
 
 MODES = {"vo": "VO", "vslam": "V-SLAM", "average": "our approach"}
 KINDS = {  # the paper's colours
-    "matched inliers": ("red", (Outcome.INLIER, Outcome.RESCUED)),
-    "matched outliers": ("magenta", (Outcome.REJECTED,)),
-    "unmatched": ("blue", (Outcome.UNMATCHED,)),
+    "matched inliers": ("red", (MatchOutcome.INLIER, MatchOutcome.RESCUED)),
+    "matched outliers": ("magenta", (MatchOutcome.REJECTED,)),
+    "unmatched": ("blue", (MatchOutcome.UNMATCHED,)),
 }
 
 
@@ -56,7 +56,7 @@ def main(
 
     down = run_metadata(sequence, config)["down"]
     level = level_axes(np.array((0.0, 1.0, 0.0) if down is None else down))
-    start = evaluations["vo"].association.reference.poses[0].inverse().matrix()
+    start = evaluations["vo"].pairs.reference.poses[0].inverse().matrix()
 
     def from_above(positions: NDArray[np.float64]) -> NDArray[np.float64]:
         seen: NDArray[np.float64] = (positions @ start[:3, :3].T + start[:3, 3]) @ level[:2].T
@@ -81,7 +81,7 @@ def main(
         draw_image(first)
         for axes, (mode, label), colour in zip(panels, MODES.items(), RUN_COLOURS, strict=False):
             error = evaluations[mode].errors["ape_trans"]
-            axes.plot(*from_above(evaluations[mode].association.reference.positions).T, **TRUTH)
+            axes.plot(*from_above(evaluations[mode].pairs.reference.positions).T, **TRUTH)
             axes.plot(
                 *from_above(error.trajectories[evaluations[mode].name].positions_xyz).T, color=colour, label=label
             )

@@ -80,7 +80,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Figure, "savefig", lambda figure, file, **options: file.write(b"not drawn"))
 
 
-class Outcome(NamedTuple):
+class Ended(NamedTuple):
     """How a command ended, and what it printed."""
 
     code: int
@@ -89,13 +89,13 @@ class Outcome(NamedTuple):
 
 
 @pytest.fixture
-def fvslam(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+def fvslam(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
     """Runs the command line within this process; what it prints includes that of libraries in C++."""
 
-    def run(*arguments: object) -> Outcome:
+    def run(*arguments: object) -> Ended:
         monkeypatch.setattr(sys, "argv", ["fvslam", *map(str, arguments)])
         with pytest.raises(SystemExit) as exit:
             main()
-        return Outcome(exit.value.code or 0, *capfd.readouterr())
+        return Ended(exit.value.code or 0, *capfd.readouterr())
 
     return run

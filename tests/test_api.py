@@ -81,7 +81,7 @@ def test_files_are_paired_as_on_the_command_line(tmp_path, fvslam):
         Trajectory.read(tmp_path / "poses.kitti"),
     ):
         evaluation = fvslam_graph.evaluate(estimated, str(tmp_path / "truth.tum"), "none")
-        assert (len(evaluation.association.indices), evaluation.poses) == (60, 60)
+        assert (len(evaluation.pairs.indices), evaluation.poses) == (60, 60)
         assert evaluation.scale == pytest.approx(1)
     out = fvslam("evaluate", tmp_path / "poses.kitti", "--reference", tmp_path / "truth.tum", "--align", "none").out
     assert "60 of 60 poses" in out and f"RMSE {evaluation.errors['ape_trans'].stats['rmse']:.4g} m" in out

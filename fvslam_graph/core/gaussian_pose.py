@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 CARRIED = 0.25  # share of cases in which a camera that has lost the scene went anywhere meanwhile,
 TURNED = 1.0  # by so many rad (deviation), and as far as the scene was away
-VAGUE = 0.2**2  # variance of the logarithm of a scale from which on it tells nothing
+UNINFORMATIVE_VARIANCE = 0.2**2  # variance of the logarithm of a scale from which on it tells nothing
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from fvslam_graph.core.trajectory import Status
 Array = NDArray[np.float64]
 
 
-class Outcome(IntEnum):
+class MatchOutcome(IntEnum):
     """What became of a landmark in a frame."""
 
     OUT_OF_VIEW = 0
@@ -26,12 +26,12 @@ class Outcome(IntEnum):
 
 
 @dataclass(frozen=True)
-class Searched:
+class LandmarkMatches:
     """What became of the N landmarks that were in the map before a frame.
 
     Attributes:
         ids: (N,) the same for the same landmark at all times.
-        outcome: (N,) of Outcome.
+        outcome: (N,) of MatchOutcome.
         expected: (N, 2) pixels where they were looked for.
         ellipses: (N, 2, 2) covariance of the innovation, pixels^2.
         pixels: (N, 2) where they were found; NaN where they were not.
@@ -55,7 +55,7 @@ class Searched:
     @property
     def measured(self) -> NDArray[np.bool_]:
         """(N,) which took part in an update."""
-        measured: NDArray[np.bool_] = self.outcome >= Outcome.INLIER
+        measured: NDArray[np.bool_] = self.outcome >= MatchOutcome.INLIER
         return measured
 
 
@@ -82,7 +82,7 @@ class Landmarks:
 
 
 @dataclass(frozen=True)
-class Views:
+class LandmarkObservations:
     """What one image shows of N landmarks.
 
     Attributes:
@@ -119,13 +119,13 @@ class SlamEstimate:
     pose: GaussianPose
     prev_T_cur: GaussianPose
     status: Status
-    searched: Searched
+    searched: LandmarkMatches
     landmarks: Landmarks
     scale_sigma: float
     times: dict[str, float]
 
     @property
-    def views(self) -> Views:
+    def views(self) -> LandmarkObservations:
         """Landmarks that were measured in this frame, and those that begin in it."""
         measured, new = self.searched.measured, self.landmarks.ages == 0
         ids = np.concatenate([self.searched.ids[measured], self.landmarks.ids[new]])
@@ -133,4 +133,4 @@ class SlamEstimate:
         points, covariances = np.full((len(ids), 3), np.nan), np.full((len(ids), 3, 3), np.nan)
         _, mine, theirs = np.intersect1d(ids, self.landmarks.ids, assume_unique=True, return_indices=True)
         points[mine], covariances[mine] = self.landmarks.points[theirs], self.landmarks.covariances[theirs]
-        return Views(ids, pixels, points, covariances)
+        return LandmarkObservations(ids, pixels, points, covariances)

@@ -53,7 +53,7 @@ def variances_along(axes: NDArray[np.float64], covariances: NDArray[np.float64])
     return variances
 
 
-class Association(Protocol):
+class FeatureTracker(Protocol):
     """Finds the points of a reference image again in later images."""
 
     def track(self, image: Image) -> Tracks:

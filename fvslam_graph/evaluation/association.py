@@ -21,7 +21,7 @@ SAME_INSTANT = 1e-3  # s; two poses closer in time count as simultaneous: 1 cm a
 
 
 @dataclass(frozen=True)
-class Association:
+class TrajectoryPairs:
     """The poses of an estimate that have a reference, and their references.
 
     Attributes:
@@ -37,7 +37,7 @@ class Association:
     interpolated: bool
 
 
-def associate(estimate: Trajectory, reference: Trajectory, time_offset: float = 0.0) -> Association:
+def associate(estimate: Trajectory, reference: Trajectory, time_offset: float = 0.0) -> TrajectoryPairs:
     """Pair the poses by their stamps, or row by row where one has none (KITTI files).
 
     Where the nearest stamps agree within SAME_INSTANT, these are the pairs of `evo_ape`. Where they do not, as with
@@ -84,7 +84,7 @@ def is_folder(path: Path) -> bool:
         raise TrajectoryError(f"{str(path)!r:.80} cannot be read as a trajectory: {error}") from None
 
 
-def _by_rows(estimate: Trajectory, reference: Trajectory) -> Association:
+def _by_rows(estimate: Trajectory, reference: Trajectory) -> TrajectoryPairs:
     counts = [len(side) if side.rows is None else side.rows for side in (estimate, reference)]
     if counts[0] != counts[1]:
         raise TrajectoryError(
@@ -97,10 +97,10 @@ def _by_rows(estimate: Trajectory, reference: Trajectory) -> Association:
         raise TrajectoryError(f"{len(rows)} of {len(estimate)} poses have a reference; two are needed")
     matched, truth = _rows(estimate, rows), _rows(reference, partners)
     stamps = (matched if reference.rows is not None else truth).stamps
-    return Association(rows, replace(matched, stamps=stamps), replace(truth, stamps=stamps), interpolated=False)
+    return TrajectoryPairs(rows, replace(matched, stamps=stamps), replace(truth, stamps=stamps), interpolated=False)
 
 
-def _by_stamps(estimate: Trajectory, reference: Trajectory) -> Association:
+def _by_stamps(estimate: Trajectory, reference: Trajectory) -> TrajectoryPairs:
     from evo.core.sync import matching_time_indices
 
     a, b = estimate.stamps, reference.stamps
@@ -118,7 +118,7 @@ def _by_stamps(estimate: Trajectory, reference: Trajectory) -> Association:
             f"{len(rows)} of {len(a)} poses have a reference: the estimate lasts from {a[0]:.3f} to {a[-1]:.3f} s, "
             f"the reference from {b[0]:.3f} to {b[-1]:.3f} s; two are needed{_reason(a, b)}"
         )
-    return Association(rows, _rows(estimate, rows), matched, interpolated)
+    return TrajectoryPairs(rows, _rows(estimate, rows), matched, interpolated)
 
 
 def _reason(a: NDArray[np.float64], b: NDArray[np.float64]) -> str:

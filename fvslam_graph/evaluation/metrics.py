@@ -14,7 +14,7 @@ from fvslam_graph.core.errors import TrajectoryError
 from fvslam_graph.core.files import replacing, write_file, write_json, writing
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.association import SAME_INSTANT, Association, associate
+from fvslam_graph.evaluation.association import SAME_INSTANT, TrajectoryPairs, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
 from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
 from fvslam_graph.runs.results import Relatives
@@ -35,7 +35,7 @@ class Evaluation:
     Attributes:
         name: Of the estimate.
         alignment: The one that was used.
-        association: Estimate and reference, pose by pose.
+        pairs: Estimate and reference, pose by pose.
         poses: How many the estimate has.
         frames: How many images there were; None where that is not known.
         scale: Factor that brings the estimate to the size of the reference (Umeyama), whatever the alignment; NaN where
@@ -52,7 +52,7 @@ class Evaluation:
 
     name: str
     alignment: Alignment
-    association: Association
+    pairs: TrajectoryPairs
     poses: int
     frames: int | None
     scale: float
@@ -74,14 +74,14 @@ class Evaluation:
         return {
             "name": self.name,
             "alignment": self.alignment.value,
-            "association": "reference interpolated" if self.association.interpolated else "nearest stamps",
+            "association": "reference interpolated" if self.pairs.interpolated else "nearest stamps",
             "poses": self.poses,
             "frames": self.frames,
-            "matched": len(self.association.indices),
+            "matched": len(self.pairs.indices),
             "coverage": self.coverage,
             "scale": self.scale,
             "ape_scaled": self.ape_scaled,
-            "path_length": self.association.reference.path_length,
+            "path_length": self.pairs.reference.path_length,
             **{name: result.stats for name, result in self.errors.items()},
             "ape_smoothed": self.smoothed,
             "drift": asdict(self.drift),
@@ -103,7 +103,7 @@ class Evaluation:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             with replacing(folder / REFERENCE) as path:
-                self.association.reference.write_tum(path)
+                self.pairs.reference.write_tum(path)
             for name, result in self.errors.items():
                 archive = io.BytesIO()
                 save_res_file(archive, result)
@@ -138,50 +138,50 @@ def evaluate(
     Raises:
         TrajectoryError: Fewer than two poses have a reference, or positions are too far away for numbers.
     """
-    association = associate(estimate, reference, time_offset)
-    _require_near("estimate", association.estimate)
-    _require_near("reference", association.reference)
+    pairs = associate(estimate, reference, time_offset)
+    _require_near("estimate", pairs.estimate)
+    _require_near("reference", pairs.reference)
     notes = [*estimate.notes, *reference.notes]
     if time_offset:
         notes.append(f"{time_offset:g} s are added to the stamps of the estimate")
-    apart = float(np.abs(association.estimate.stamps - association.reference.stamps).max())
+    apart = float(np.abs(pairs.estimate.stamps - pairs.reference.stamps).max())
     if apart > SAME_INSTANT:
         notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
-    if (matched := len(association.indices)) < FEW * min(len(estimate), len(reference)):
+    if (matched := len(pairs.indices)) < FEW * min(len(estimate), len(reference)):
         notes.append(f"only {matched} of {len(estimate)} poses have a reference: do both have the same clock and rate?")
-    scale = _scale(association)
+    scale = _scale(pairs)
     determined = not math.isnan(scale)
     if not determined and align in (Alignment.SE3, Alignment.SIM3):
         notes.append(f"the motion does not determine an alignment by {align}: aligned at the origin")
         align = Alignment.ORIGIN
 
-    errors = _errors(association, align, name)
+    errors = _errors(pairs, align, name)
     if "rpe_1m_trans" not in errors:
         notes.append("no relative pose error over 1 m: the path is shorter")
 
-    matrices = association.estimate.matrices
+    matrices = pairs.estimate.matrices
     scaled = matrices.copy()
     scaled[:, :3, 3] *= scale
-    if (length := association.reference.path_length) <= LENGTHS[0]:
+    if (length := pairs.reference.path_length) <= LENGTHS[0]:
         notes.append(f"no t_rel and r_rel: the path of {length:.1f} m is shorter than {LENGTHS[0]:.0f} m")
 
     consistent = None
     if relatives is not None:
-        pose_errors, covariances = relative_errors(association, relatives, scale if align is Alignment.SIM3 else 1.0)
+        pose_errors, covariances = relative_errors(pairs, relatives, scale if align is Alignment.SIM3 else 1.0)
         consistent = consistency(pose_errors, covariances) if len(pose_errors) else None
     if consistent is None:
         notes.append("no NEES: no relative motion has a covariance and a reference")
     return Evaluation(
         name=name,
         alignment=align,
-        association=association,
+        pairs=pairs,
         poses=len(estimate),
         frames=frames,
         scale=scale,
-        ape_scaled=_ape_scaled(association, name) if determined else math.nan,
+        ape_scaled=_ape_scaled(pairs, name) if determined else math.nan,
         errors=errors,
-        drift=drift(matrices, association.reference.matrices),
-        drift_scaled=drift(scaled, association.reference.matrices),
+        drift=drift(matrices, pairs.reference.matrices),
+        drift_scaled=drift(scaled, pairs.reference.matrices),
         consistency=consistent,
         notes=tuple(notes),
     )
@@ -193,28 +193,26 @@ def _require_near(name: str, trajectory: Trajectory) -> None:
         raise TrajectoryError(f"the {name} has a position {farthest:.3g} m away; more than {FARTHEST:g} m is no place")
 
 
-def _scale(association: Association) -> float:
+def _scale(pairs: TrajectoryPairs) -> float:
     """Umeyama's scale factor; NaN for degenerate motions."""
     from evo.core.geometry import GeometryException, umeyama_alignment
 
     try:
-        _, _, scale = umeyama_alignment(
-            association.estimate.positions.T, association.reference.positions.T, with_scale=True
-        )
+        _, _, scale = umeyama_alignment(pairs.estimate.positions.T, pairs.reference.positions.T, with_scale=True)
     except GeometryException:
         return math.nan
     return float(scale)
 
 
-def _ape_scaled(association: Association, name: str) -> float:
+def _ape_scaled(pairs: TrajectoryPairs, name: str) -> float:
     from evo.core.metrics import PoseRelation
     from evo.main_ape import ape
 
-    result = ape(*_evo_pair(association, name), PoseRelation.translation_part, **Alignment.SIM3.options)
+    result = ape(*_evo_pair(pairs, name), PoseRelation.translation_part, **Alignment.SIM3.options)
     return float(result.stats["rmse"])
 
 
-def _errors(association: Association, align: Alignment, name: str) -> dict[str, Result]:
+def _errors(pairs: TrajectoryPairs, align: Alignment, name: str) -> dict[str, Result]:
     from evo.core.filters import FilterException
     from evo.core.metrics import PoseRelation, Unit
     from evo.main_ape import ape
@@ -222,11 +220,11 @@ def _errors(association: Association, align: Alignment, name: str) -> dict[str, 
 
     errors = {}
     for part, relation in (("trans", PoseRelation.translation_part), ("rot", PoseRelation.rotation_angle_deg)):
-        errors[f"ape_{part}"] = ape(*_evo_pair(association, name), relation, **align.options)
+        errors[f"ape_{part}"] = ape(*_evo_pair(pairs, name), relation, **align.options)
         for key, unit in (("rpe", Unit.frames), ("rpe_1m", Unit.meters)):
             try:
                 errors[f"{key}_{part}"] = rpe(
-                    *_evo_pair(association, name),
+                    *_evo_pair(pairs, name),
                     relation,
                     delta=1.0,
                     delta_unit=unit,
@@ -238,8 +236,8 @@ def _errors(association: Association, align: Alignment, name: str) -> dict[str, 
     return errors
 
 
-def _evo_pair(association: Association, name: str) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:
+def _evo_pair(pairs: TrajectoryPairs, name: str) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:
     """Fresh copies, since evo aligns in place; the names label its results."""
-    reference, estimate = association.reference.to_evo(), association.estimate.to_evo()
+    reference, estimate = pairs.reference.to_evo(), pairs.estimate.to_evo()
     reference.name, estimate.name = "reference", name
     return reference, estimate

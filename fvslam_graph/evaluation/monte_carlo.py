@@ -74,8 +74,8 @@ def run(scene: PointScene, config: Config, wrong: float = 0.0) -> Iterator[Frame
         error = math.sqrt(ORACLE_VARIANCE) * np.random.default_rng([config.seed, 3, a, b]).standard_normal()
         return float(np.linalg.norm(positions[b] - positions[a]) * math.exp(error))
 
-    eyes = FrontEnd(tracker, SceneFinder(scene, wrong, config.seed), baseline)
-    return estimate(scene.sequence("points"), config, eyes)
+    front_end = FrontEnd(tracker, SceneFinder(scene, wrong, config.seed), baseline)
+    return estimate(scene.sequence("points"), config, front_end)
 
 
 def frame_of(scene: PointScene, index: int) -> Frame:

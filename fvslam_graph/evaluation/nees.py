@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.evaluation.association import Association
+from fvslam_graph.evaluation.association import TrajectoryPairs
 from fvslam_graph.runs.results import Relatives
 
 _SINGULAR = 1e-12  # ratio of eigenvalues below which a covariance says nothing about a direction
@@ -88,12 +88,12 @@ def consistency(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -
 
 
 def relative_errors(
-    association: Association, relatives: Relatives, scale: float = 1.0
+    pairs: TrajectoryPairs, relatives: Relatives, scale: float = 1.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors of estimated relative motions against a reference.
 
     Args:
-        association: Says which frames have a reference; its estimate must be all frames that `relatives` is about.
+        pairs: Says which frames have a reference; its estimate must be all frames that `relatives` is about.
         relatives: Motions that have a covariance other than zero are compared, where both of their frames have a
             reference.
         scale: Factor on the estimated translations (Sim3 alignment).
@@ -103,7 +103,7 @@ def relative_errors(
     """
     count = len(relatives.previous)
     row = np.full(count, -1)
-    row[association.indices] = np.arange(len(association.indices))
+    row[pairs.indices] = np.arange(len(pairs.indices))
     described = np.isfinite(relatives.covariances).all(axis=(1, 2)) & relatives.covariances.any(axis=(1, 2))
     frames = np.flatnonzero(described & (row >= 0) & (row[relatives.previous] >= 0))
     metric = np.repeat([1.0, scale], 3)
@@ -112,6 +112,6 @@ def relative_errors(
         matrix = relatives.prev_T_cur[frame]
         estimate = gtsam.Pose3(gtsam.Rot3(matrix[:3, :3]), scale * matrix[:3, 3])
         start, end = row[relatives.previous[frame]], row[frame]
-        reference = association.reference.poses[start].between(association.reference.poses[end])
+        reference = pairs.reference.poses[start].between(pairs.reference.poses[end])
         error[:] = gtsam.Pose3.Logmap(estimate.between(reference))
     return errors, relatives.covariances[frames] * np.outer(metric, metric)

@@ -17,7 +17,7 @@ from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.core.files import one_line, write_file, writing
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.association import Association
+from fvslam_graph.evaluation.association import TrajectoryPairs
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.runs.ownership import claim_files
@@ -254,7 +254,7 @@ def _draw_speed(figure: Figure, curves: Sequence[_Curve], truth: Trajectory | No
             margin = 2 * curve.run.frames["scale_sigma"][known]
             axes.fill_between(times, scale - margin, scale + margin, color=curve.colour, alpha=0.25, linewidth=0)
         if curve.evaluation is not None and curve.run.relatives is not None:
-            axes.plot(times, _baselines(curve.evaluation.association, curve.run.relatives)[known], **TRUTH)
+            axes.plot(times, _baselines(curve.evaluation.pairs, curve.run.relatives)[known], **TRUTH)
         axes.set_ylabel("scale ± 2σ\n(m per baseline)")
         axes.set_title(legible(curve.run.name), fontsize=9)
     (panels or [speed])[-1].set_xlabel("time (s)")
@@ -283,10 +283,10 @@ def _draw_features(figure: Figure, curves: Sequence[_Curve], _: Trajectory | Non
     panels[-1].set_xlabel("frame")
 
 
-def _baselines(association: Association, relatives: Relatives) -> NDArray[np.float64]:
+def _baselines(pairs: TrajectoryPairs, relatives: Relatives) -> NDArray[np.float64]:
     """Metres between each frame and the one that its motion was measured from, (N,); NaN where there is none."""
     positions = np.full((len(relatives.previous), 3), np.nan)
-    positions[association.indices] = association.reference.positions
+    positions[pairs.indices] = pairs.reference.positions
     baselines = np.linalg.norm(positions - positions[relatives.previous], axis=1)
     return np.where(relatives.previous == np.arange(len(baselines)), np.nan, baselines)
 

@@ -50,14 +50,14 @@ def summary_table(evaluation: Evaluation) -> RichTable:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    association = evaluation.association
-    how = "with the reference interpolated" if association.interpolated else "by nearest stamps"
+    pairs = evaluation.pairs
+    how = "with the reference interpolated" if pairs.interpolated else "by nearest stamps"
     table = RichTable(
         title=Text(one_line(evaluation.name)), caption=Text("\n".join(evaluation.notes)), show_header=False
     )
     if evaluation.coverage is not None:
         table.add_row("coverage", f"{100 * evaluation.coverage:.1f} % of {evaluation.frames} frames")
-    table.add_row("association", f"{len(association.indices)} of {evaluation.poses} poses {how}")
+    table.add_row("association", f"{len(pairs.indices)} of {evaluation.poses} poses {how}")
     scale = "unknown" if np.isnan(evaluation.scale) else f"{evaluation.scale:.4f}"
     table.add_row("alignment", f"{evaluation.alignment} (scale to the reference {scale})")
     if evaluation.alignment != "sim3" and not np.isnan(evaluation.ape_scaled):

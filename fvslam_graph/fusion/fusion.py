@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.sequence import Frame
-from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.fusion.rules import FusionRule
@@ -45,13 +45,13 @@ class Fusion(ABC):
         """Append the motion of a frame, O_f."""
         self._chain.add(frame.index, step)
 
-    def start(self, pose: GaussianPose, views: Views) -> None:
+    def start(self, pose: GaussianPose, views: LandmarkObservations) -> None:
         """Visual SLAM begins at the newest frame, at this pose world_T_camera."""
         path = self._reference.compose(self._chain.motion)
         self._reference = replace(path, pose=replace(pose, covariance=pose.covariance - path.common))
         self._chain.anchor()
 
-    def fuse(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+    def fuse(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
         """Make P_f of O_f and S_f, at the newest frame.
 
         Args:
@@ -67,14 +67,14 @@ class Fusion(ABC):
         return fused
 
     @abstractmethod
-    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
         """Move the reference, and return by how much."""
 
 
 class SlamAlone(Fusion):
     """Visual SLAM as it is; odometry carries on from there to frames on which it does not run."""
 
-    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
         self._reference = ScaledPose.of(pose)
         return motion
 
@@ -90,7 +90,7 @@ class RuleFusion(Fusion):
         super().__init__()
         self._rule = rule
 
-    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
         odometry = self._chain.motion
         step = odometry if views is None else odometry.replaced(self._rule(odometry.whole, motion))
         self._reference = self._reference.compose(step)

@@ -12,7 +12,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings, GroundSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.sequence import Frame, Ground
-from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.fusion import Fusion
 from fvslam_graph.graph.factor_graph import Graph
@@ -78,13 +78,13 @@ class GraphFusion(Fusion):
         """
         return _moved(self._poses[self._newest], self._step)
 
-    def start(self, pose: GaussianPose, views: Views) -> None:
+    def start(self, pose: GaussianPose, views: LandmarkObservations) -> None:
         """Landmarks begin at the newest frame."""
         super().start(pose, views)
         self.graph.fuse(views)
         self._published[self._newest] = pose.mean.translation()
 
-    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: Views | None) -> GaussianPose:
+    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
         before = next(reversed(self._published))
         fused = self.graph.fuse(views)
         expected = self._poses[self._newest].mean.translation()

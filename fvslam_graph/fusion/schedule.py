@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-class Interleave:
+class InterleaveSchedule:
     """Every how many frames visual SLAM runs.
 
     Over a long interval the view may change so much that too few landmarks are found again (the paper's warning).
@@ -18,7 +18,7 @@ class Interleave:
         self._shorten = shorten
         self.distance = distance  # now
 
-    def turned_out(self, well: bool) -> None:
+    def report(self, well: bool) -> None:
         """Take in how a turn ended."""
         if self._shorten:
             self.distance = min(self.distance + 1, self._longest) if well else max(self.distance // 2, 1)

@@ -14,7 +14,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
-from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.graph.calibration import (
@@ -37,7 +37,7 @@ from fvslam_graph.graph.factors import (
     pose_key,
 )
 from fvslam_graph.graph.gating import contradiction
-from fvslam_graph.graph.landmark_candidates import Newcomers, View
+from fvslam_graph.graph.landmark_candidates import LandmarkCandidates, Observation
 from fvslam_graph.graph.pixel_noise import PixelNoise
 from fvslam_graph.graph.scale_chain import ScaleChain
 from fvslam_graph.graph.solver import Solver
@@ -63,17 +63,17 @@ class Graph:
         self.solver = Solver(settings)
         self._camera = self._refined = camera  # as its file has it, and as it is known now
         self._landmark_factors = LandmarkFactors(camera, settings)
-        self._newcomers = Newcomers(settings)
+        self._candidates = LandmarkCandidates(settings)
         self._noise = PixelNoise(settings.pixel_sigma)
         self._scales = ScaleChain(self.add, self._insert, self._has, relative)
         self._counts: dict[int, int] = {}  # landmarks that each interleaved frame shows
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
         self._stamps: list[float] = []  # of all frames
         self._poses: list[gtsam.Pose3] = []  # world_T_camera of all frames, as known last
-        self._wander: list[Array] = []  # (2, 2) of all frames, see `Newcomers.ready`
+        self._drift_variances: list[Array] = []  # (2, 2) of all frames, see `LandmarkCandidates.ready`
         self._moves: dict[int, OdometryStep] = {}  # since the last fusion, by frame
         self._fused = 0  # the frame of the last reference P_f
-        self._views: Views | None = None  # of that frame
+        self._views: LandmarkObservations | None = None  # of that frame
         self._start_height = math.nan
         self._begin_batch()
         if settings.landmarks == "projection":
@@ -86,7 +86,7 @@ class Graph:
         self._stamps.append(stamp)
         if index == 0:
             self._poses.append(gtsam.Pose3())
-            self._wander.append(np.zeros((2, 2)))
+            self._drift_variances.append(np.zeros((2, 2)))
             self.add(pose_factor(0, GaussianPose.identity()))
             self._values.insert(pose_key(0), gtsam.Pose3())
         else:
@@ -97,8 +97,8 @@ class Graph:
                 motion = GaussianPose(_between(self._poses[previous], self._poses[index]), motion.covariance)
                 step = OdometryStep(previous, motion)
             own = motion.with_scale_variance(-step.scale_variance)  # a scale in common displaces no landmark
-            start = self._wander[previous][0]
-            self._wander.append(np.array([start + np.diag(own.covariance).reshape(2, 3).max(axis=1), start]))
+            start = self._drift_variances[previous][0]
+            self._drift_variances.append(np.array([start + np.diag(own.covariance).reshape(2, 3).max(axis=1), start]))
             self._moves[index] = step
         self._seen[pose_key(index)] = stamp
 
@@ -112,7 +112,7 @@ class Graph:
         """Anything else that is known of poses, see `factors`; it takes effect when the graph is solved next."""
         self._factors.add(factor)
 
-    def fuse(self, views: Views | None) -> GaussianPose | None:
+    def fuse(self, views: LandmarkObservations | None) -> GaussianPose | None:
         """Take in what the newest frame shows of landmarks, and solve.
 
         Motions that landmarks contradict are replaced by what these say.
@@ -172,7 +172,7 @@ class Graph:
             self._take_motions(None)
             if self._factors.size():
                 self._solve()
-            self.solver.settle()
+            self.solver.optimize()
             estimate = self.solver.values()
         except (RuntimeError, ValueError, IndexError) as error:  # as which GTSAM's exceptions arrive
             raise EstimationError(f"the factor graph cannot be solved: {' '.join(str(error).split())}") from None
@@ -186,7 +186,7 @@ class Graph:
         estimate = self.solver.values()
         write_graph(folder, self.solver.factors(), estimate, self._scales.lengths(estimate))
 
-    def _take_motions(self, views: Views | None) -> None:
+    def _take_motions(self, views: LandmarkObservations | None) -> None:
         """Append what odometry says since the last fusion.
 
         Where landmarks contradict it, where they have the camera stands in its place. In between, velocity is taken to
@@ -210,7 +210,7 @@ class Graph:
             self._move(index, step)
         self._moves = {}
 
-    def _contradiction(self, index: int, views: Views | None) -> GaussianPose | None:
+    def _contradiction(self, index: int, views: LandmarkObservations | None) -> GaussianPose | None:
         """Where landmarks have the camera, if motions that were not taken in yet do not lead there.
 
         They are where visual SLAM had them at the last fusion: what is wrong since has not come to its map.
@@ -253,16 +253,16 @@ class Graph:
         else:
             self.add(motion_factor(step.previous, index, motion, self.settings, length=not told))
 
-    def _see(self, index: int, views: Views) -> None:
+    def _see(self, index: int, views: LandmarkObservations) -> None:
         """Landmarks of the graph are seen again; others enter once they are known well enough."""
         self._counts[index] = len(views.ids)
         known = np.array([landmark in self._distances for landmark in views.ids.tolist()], bool)
         for n in np.flatnonzero(known):
             landmark = int(views.ids[n])
             if self._near(landmark, views.points[n]) and self.solver.has(landmark_key(landmark)):
-                self._observe(landmark, View(index, views.pixels[n], views.points[n], views.covariances[n]))
-        for candidate in self._newcomers.ready(
-            index, views, known, self._poses, self._wander, self._has, self._refined
+                self._observe(landmark, Observation(index, views.pixels[n], views.points[n], views.covariances[n]))
+        for candidate in self._candidates.ready(
+            index, views, known, self._poses, self._drift_variances, self._has, self._refined
         ):
             away = candidate.position - self._poses[candidate.views[0].frame].translation()
             self._distances[candidate.landmark] = float(np.linalg.norm(away))
@@ -275,7 +275,7 @@ class Graph:
             for view in candidate.views:
                 self._observe(candidate.landmark, view)
 
-    def _learn(self, views: Views) -> None:
+    def _learn(self, views: LandmarkObservations) -> None:
         """How well the landmarks that are seen now fit where the graph has them."""
         keys = {landmark: landmark_key(landmark) for landmark in views.ids.tolist()}
         points = {landmark: self.solver.point(key) for landmark, key in keys.items() if self.solver.has(key)}
@@ -286,7 +286,7 @@ class Graph:
         ratio = float(np.linalg.norm(point)) / self._distances[landmark]
         return 1 / self.settings.max_zoom < ratio < self.settings.max_zoom
 
-    def _observe(self, landmark: int, view: View) -> None:
+    def _observe(self, landmark: int, view: Observation) -> None:
         if self.settings.landmarks == "projection":
             count = self._counts[view.frame]
             self.add(self._landmark_factors.projection(view.frame, landmark, view.pixel, self._noise.sigma, count))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
-from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.graph.factors import pose_key
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ RANK_TOLERANCE = 1e-9  # of the triangulation
 
 
 @dataclass(frozen=True)
-class View:
+class Observation:
     """A landmark in one frame: its pixel (2,), and its point (3,) in the camera with covariance (3, 3), metres."""
 
     frame: int
@@ -34,16 +34,16 @@ class View:
 
 
 @dataclass
-class Candidate:
+class LandmarkCandidate:
     """A landmark with its views so far, and where these meet in the world, (3,)."""
 
     landmark: int
-    views: list[View] = field(default_factory=list)
+    views: list[Observation] = field(default_factory=list)
     position: Array = field(default_factory=lambda: np.full(3, np.nan))
     parallax: float = 0.0  # pixels, between the first and the last view
 
 
-class Newcomers:
+class LandmarkCandidates:
     """Collects views of landmarks, and says which are ready.
 
     A landmark is ready when it has enough views, from places far enough apart, that meet in a point in front of all of
@@ -55,18 +55,18 @@ class Newcomers:
 
     def __init__(self, settings: GraphSettings) -> None:
         self._settings = settings
-        self._waiting: dict[int, Candidate] = {}
+        self._waiting: dict[int, LandmarkCandidate] = {}
 
     def ready(
         self,
         frame: int,
-        views: Views,
+        views: LandmarkObservations,
         known: NDArray[np.bool_],
         poses: list[gtsam.Pose3],
-        wander: list[Array],
+        drift_variances: list[Array],
         has: Callable[[int], bool],
         camera: Camera,
-    ) -> list[Candidate]:
+    ) -> list[LandmarkCandidate]:
         """Take in the views of one frame, and hand out landmarks that can enter the graph.
 
         Args:
@@ -74,17 +74,19 @@ class Newcomers:
             views: Of N landmarks.
             known: (N,) which of them are in the graph already.
             poses: world_T_camera of all frames up to this one.
-            wander: (2, 2) of all frames: variance (rad^2, m^2, along an axis) by which odometry has wandered until
-                there, and until the frame that its motion starts from.
+            drift_variances: (2, 2) of all frames: variance (rad^2, m^2, along an axis) of odometry's drift until there,
+                and until the frame that its motion starts from.
             has: Whether the graph has a variable.
             camera: As it is known now.
         """
         ready = []
         for n in np.flatnonzero(~known):
             landmark = int(views.ids[n])
-            candidate = self._waiting.setdefault(landmark, Candidate(landmark))
-            candidate.views.append(View(frame, views.pixels[n], views.points[n], views.covariances[n]))
-            if len(candidate.views) >= self._settings.min_views and self._meets(candidate, poses, wander, camera):
+            candidate = self._waiting.setdefault(landmark, LandmarkCandidate(landmark))
+            candidate.views.append(Observation(frame, views.pixels[n], views.points[n], views.covariances[n]))
+            if len(candidate.views) >= self._settings.min_views and self._meets(
+                candidate, poses, drift_variances, camera
+            ):
                 ready.append(candidate)
         ready.sort(key=lambda candidate: (len(candidate.views), candidate.parallax), reverse=True)
         ready = ready[: self._settings.max_new]
@@ -98,7 +100,9 @@ class Newcomers:
         }
         return [candidate for candidate in ready if len(candidate.views) >= self._settings.min_views]
 
-    def _meets(self, candidate: Candidate, poses: list[gtsam.Pose3], wander: list[Array], camera: Camera) -> bool:
+    def _meets(
+        self, candidate: LandmarkCandidate, poses: list[gtsam.Pose3], drift_variances: list[Array], camera: Camera
+    ) -> bool:
         """Triangulate; whether the views agree, up to how well odometry knows the poses to each other."""
         seen_from = [poses[view.frame] for view in candidate.views]
         pixels = np.array([view.pixel for view in candidate.views])
@@ -117,7 +121,7 @@ class Newcomers:
         candidate.position = point
         there = np.array([pose.transformTo(point) for pose in seen_from])
         error = camera.project(there) - pixels
-        begin, end = wander[candidate.views[0].frame], wander[candidate.views[-1].frame]
+        begin, end = drift_variances[candidate.views[0].frame], drift_variances[candidate.views[-1].frame]
         turned, moved = end[0] + begin[0] - 2 * begin[1]  # both are known from where the first one's motion starts
         variance = self._settings.pixel_sigma**2 + camera.fx**2 * (turned + moved / there[:, 2] ** 2)
         return bool((there[:, 2] > NEAREST).all() and ((error**2).sum(axis=1) < GATE * variance).all())

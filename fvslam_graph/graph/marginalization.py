@@ -1,4 +1,4 @@
-"""Landmarks that are out of sight, in one factor about the poses that saw them."""
+"""Marginalization of landmarks that are out of sight: one linear factor about the poses that saw them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fvslam_graph.graph.landmark_candidates import NEAREST
 FARTHEST = 1e6  # metres; a landmark known less well than that is not determined
 
 
-class Summary:
+class LandmarkMarginal:
     """Factors about poses, landmarks and the camera, from which the landmarks are eliminated.
 
     What is left is linear in what the poses have moved since. What moves a path most, a shift and a change of its
@@ -73,15 +73,15 @@ class Estimate(Protocol):
         """Whether a variable is there."""
 
 
-class Sightings:
-    """Factors of landmarks in iSAM2, by the slots they have in it, and summaries of those no longer in it."""
+class Marginalization:
+    """Keeps the factors of landmarks in iSAM2, by their slots, and the marginals of landmarks no longer in it."""
 
     def __init__(self) -> None:
         self._of: dict[int, list[tuple[int, gtsam.NonlinearFactor]]] = {}
-        self._summaries: list[Summary] = []
+        self._marginals: list[LandmarkMarginal] = []
 
     def __iter__(self) -> Iterator[int]:
-        """Landmarks that are not summed up."""
+        """Landmarks that are not marginalized."""
         return iter(self._of)
 
     def add(self, factors: gtsam.NonlinearFactorGraph, slots: list[int]) -> None:
@@ -100,22 +100,22 @@ class Sightings:
         """Forget landmarks; the slots of their factors."""
         return [slot for landmark in landmarks for slot, _ in self._of.pop(landmark)]
 
-    def sum_up(self, landmarks: list[int], estimate: Estimate) -> tuple[gtsam.NonlinearFactorGraph, list[int]]:
+    def marginalize(self, landmarks: list[int], estimate: Estimate) -> tuple[gtsam.NonlinearFactorGraph, list[int]]:
         """One factor in place of all factors of some landmarks, and the slots of these.
 
         Landmarks that are not determined are left as they are, such as those seen in a path that was mostly guessed.
         """
         finite = [landmark for landmark in landmarks if np.isfinite(estimate.point(landmark)).all()]
-        summary = self._summary(finite, estimate)
-        if weak := summary.undetermined:
-            summary = self._summary([landmark for landmark in finite if landmark not in weak], estimate)
+        marginal = self._marginal_of(finite, estimate)
+        if weak := marginal.undetermined:
+            marginal = self._marginal_of([landmark for landmark in finite if landmark not in weak], estimate)
         added = gtsam.NonlinearFactorGraph()
-        if summary.landmarks:
-            self._summaries.append(summary)
-            added.add(summary.factor)
-        return added, self.drop(summary.landmarks)
+        if marginal.landmarks:
+            self._marginals.append(marginal)
+            added.add(marginal.factor)
+        return added, self.drop(marginal.landmarks)
 
-    def _summary(self, landmarks: list[int], estimate: Estimate) -> Summary:
+    def _marginal_of(self, landmarks: list[int], estimate: Estimate) -> LandmarkMarginal:
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if estimate.has(CALIBRATION):
             values.insert(CALIBRATION, estimate.calibration())
@@ -126,12 +126,12 @@ class Sightings:
                 for pose in filter(is_pose, factor.keys()):
                     if not values.exists(pose):
                         values.insert(pose, estimate.pose(pose))
-        return Summary(factors, landmarks, values)
+        return LandmarkMarginal(factors, landmarks, values)
 
-    def insert_summed_up(self, values: gtsam.Values) -> None:
-        """Add landmarks that were summed up to values of the poses."""
-        for summary in self._summaries:
-            summary.insert_landmarks(values)
+    def insert_marginalized(self, values: gtsam.Values) -> None:
+        """Add landmarks that were marginalized to values of the poses."""
+        for marginal in self._marginals:
+            marginal.insert_landmarks(values)
 
 
 def astray(factors: gtsam.NonlinearFactorGraph, estimate: gtsam.Values) -> set[int]:

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.core.gaussian_pose import VAGUE, GaussianPose, LogScale
+from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, GaussianPose, LogScale
 from fvslam_graph.core.vo_estimate import ScaleStep
 from fvslam_graph.graph.factors import SHORT, pose_key
 
@@ -88,7 +88,7 @@ class ScaleChain:
             self._begin(scale_key(index), LogScale(0.0, variance))
             return [scale_key(index)]
         carried = LogScale(step.carried.mean - step.length.mean, step.carried.variance)
-        if before is None or (self._relative and carried.variance >= VAGUE):
+        if before is None or (self._relative and carried.variance >= UNINFORMATIVE_VARIANCE):
             self._begin(scale_key(index), carried)
         else:
             self._link(scale_key(before), scale_key(index), carried)

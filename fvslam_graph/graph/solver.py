@@ -15,19 +15,19 @@ from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.graph.calibration import CALIBRATION, is_camera
 from fvslam_graph.graph.factors import is_filed, is_landmark, is_pose
-from fvslam_graph.graph.marginalization import Sightings, astray
+from fvslam_graph.graph.marginalization import Marginalization, astray
 
 _log = logging.getLogger(__name__)
 
-WEAK = 10.0  # rad, m, of a logarithm: a prior that determines a variable and pulls at nothing
-HELD = 1e-3  # rad and m: the oldest pose within a lag, where what was before is lost
-TURNED = 1e-3  # rad; a pose that turns by more is linearised again
-RECALIBRATED = 1e-4  # of a coefficient of distortion, and of 1000 pixels of focal length, likewise
-NEVER = 10**9  # updates
-GROWTH = 0.1  # by what share the number of updates grows until what has moved is linearised again
-UNSEEN = 10  # updates with other landmarks, after which one that was not seen again is summed up
-LOOSE = 0.05  # rad; landmarks seen from poses known less well may come to lie elsewhere, and are not
-ATTEMPTS = 20  # repairs of one update
+WEAK_PRIOR_SIGMA = 10.0  # rad, m, of a logarithm: a prior that determines a variable and pulls at nothing
+ANCHOR_SIGMA = 1e-3  # rad and m: the oldest pose within a lag, where what was before is lost
+RELINEARIZE_ROTATION = 1e-3  # rad; a pose that turns by more is linearised again
+RELINEARIZE_CALIBRATION = 1e-4  # of a coefficient of distortion, and of 1000 pixels of focal length, likewise
+RELINEARIZE_NEVER = 10**9  # updates
+RELINEARIZE_GROWTH = 0.1  # by what share the number of updates grows until what has moved is linearised again
+MARGINALIZE_AFTER = 10  # updates with other landmarks, after which one that was not seen again is marginalized
+MAX_ROTATION_SIGMA = 0.05  # rad; landmarks seen from poses known less well may come to lie elsewhere, and are not
+MAX_RECOVERIES = 20  # from one update that failed
 _NAMED = re.compile(r"variable\s+(\d+)")
 
 
@@ -42,7 +42,7 @@ class Solver:
 
     def __init__(self, settings: GraphSettings) -> None:
         self._settings = settings
-        self.repaired: list[str] = []  # variables that were not determined, in the order of their repair
+        self.recovered: list[str] = []  # variables that were not determined, in this order
         self._factors: list[tuple[float, gtsam.NonlinearFactorGraph]] = []  # by update, with its time; within the lag
         self._stamps: dict[int, float] = {}  # when each variable was seen last
         self._sighted: list[float] = []  # when landmarks were seen
@@ -57,7 +57,7 @@ class Solver:
         anew; where that does not suffice, without the landmarks seen last.
 
         Raises:
-            EstimationError: It cannot be repaired.
+            EstimationError: The solver cannot recover.
         """
         now = max(stamps.values())
         self._factors.append((now, factors))
@@ -71,10 +71,10 @@ class Solver:
         try:
             self._advance(factors, values, stamps)
         except RuntimeError as error:
-            self._repair(error)
+            self._recover(error)
 
-    def settle(self) -> None:
-        """Go to the maximum of all factors that are kept, with no landmark summed up."""
+    def optimize(self) -> None:
+        """Go to the maximum of all factors that are kept, with no landmark marginalized."""
         if self._settings.lag is not None:
             return
         try:
@@ -86,10 +86,10 @@ class Solver:
             self._begin()
             self._take(self.factors(), optimum)
         except RuntimeError as error:
-            self._repair(error)
+            self._recover(error)
 
     def values(self) -> gtsam.Values:
-        """The estimate of all variables, with landmarks that were summed up.
+        """The estimate of all variables, with landmarks that were marginalized.
 
         Where one is not determined, GTSAM has none of any: they are then where they were linearised.
         """
@@ -97,7 +97,7 @@ class Solver:
             values = self._solver.calculateEstimate()
         except RuntimeError:
             values = gtsam.Values(self._isam.getLinearizationPoint())
-        self._sightings.insert_summed_up(values)
+        self._marginalization.insert_marginalized(values)
         return values
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
@@ -125,26 +125,26 @@ class Solver:
         return point
 
     def has(self, key: int) -> bool:
-        """Whether the variable can be in new factors: it is known, not beyond the lag, and not summed up."""
+        """Whether the variable can be in new factors: it is known, not beyond the lag, and not marginalized."""
         return bool(self._isam.valueExists(key))
 
     def covariance(self, key: int) -> NDArray[np.float64]:
         """Marginal covariance of a variable."""
-        covariance: NDArray[np.float64] = self._marginal(lambda: self._isam.marginalCovariance(key))
+        covariance: NDArray[np.float64] = self._recovering(lambda: self._isam.marginalCovariance(key))
         return covariance
 
     def joint_covariance(self, first: int, second: int) -> NDArray[np.float64]:
         """Marginal covariance (12, 12) of two poses."""
         keys = first, second
-        joint = self._marginal(lambda: self._isam.jointMarginalCovariance(list(keys)))
+        joint = self._recovering(lambda: self._isam.jointMarginalCovariance(list(keys)))
         return np.block([[joint.at(a, b) for b in keys] for a in keys])
 
-    def _marginal(self, compute: Callable[[], Any]) -> Any:
+    def _recovering(self, compute: Callable[[], Any]) -> Any:
         """What may fail where the estimate itself did not."""
         try:
             return compute()
         except RuntimeError as error:
-            self._repair(error, by_priors=False)
+            self._recover(error, by_priors=False)
             return compute()
 
     @property
@@ -153,19 +153,21 @@ class Solver:
 
     def _begin(self) -> None:
         self._solver = self._empty()
-        self._sightings = Sightings()
+        self._marginalization = Marginalization()
 
     def _empty(self) -> gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother:
         parameters = gtsam.ISAM2Params()
         thresholds = gtsam.ISAM2ThresholdMap()
         for pose in ("x", "y"):
-            thresholds.insert((pose, np.repeat([TURNED, self._settings.relinearise], 3)))
-        thresholds.insert(("c", np.array([RECALIBRATED * 1e3, RECALIBRATED, RECALIBRATED])))
+            thresholds.insert((pose, np.repeat([RELINEARIZE_ROTATION, self._settings.relinearise], 3)))
+        thresholds.insert(
+            ("c", np.array([RELINEARIZE_CALIBRATION * 1e3, RELINEARIZE_CALIBRATION, RELINEARIZE_CALIBRATION]))
+        )
         thresholds.insert(("l", np.full(3, self._settings.relinearise)))
         for linear in ("s", "b"):  # what depends on scales is linear
             thresholds.insert((linear, np.ones(1)))
         parameters.setRelinearizeThreshold(thresholds)
-        parameters.relinearizeSkip = 1 if self._settings.lag is not None else NEVER
+        parameters.relinearizeSkip = 1 if self._settings.lag is not None else RELINEARIZE_NEVER
         # Cholesky takes for undetermined what is known 4096 times less well than the variable before it.
         parameters.setFactorization("QR")
         parameters.findUnusedFactorSlots = True
@@ -178,10 +180,10 @@ class Solver:
         if self._settings.lag is None:
             self._updates += 1
             self._take(factors, values)
-            if self._updates - self._relinearised >= GROWTH * self._updates:
+            if self._updates - self._relinearised >= RELINEARIZE_GROWTH * self._updates:
                 self._linearise_again(stamps)
-            if self._updates % UNSEEN == 0:
-                self._sum_up()
+            if self._updates % MARGINALIZE_AFTER == 0:
+                self._marginalize()
         else:
             self._solver.update(factors, values, stamps)
         newest = max(filter(is_pose, stamps), key=stamps.__getitem__)  # older ones may be beyond the lag
@@ -198,7 +200,7 @@ class Solver:
         self._relinearised = self._updates
         while lost := astray(self._solver.getFactorsUnsafe(), self._solver.calculateEstimate()):
             self._remove(lost.__contains__)
-            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._sightings.drop(lost))
+            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._marginalization.drop(lost))
         again = gtsam.ISAM2UpdateParams()
         again.force_relinearize = True
         again.constrainedKeys = gtsam.KeyGroupMap()
@@ -207,52 +209,52 @@ class Solver:
         self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), again)
 
     def _take(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        self._sightings.add(factors, self._solver.update(factors, values).getNewFactorsIndices())
+        self._marginalization.add(factors, self._solver.update(factors, values).getNewFactorsIndices())
 
-    def _sum_up(self) -> None:
-        """Sum up landmarks that were not seen for a while, those that were seen last at the same time together.
+    def _marginalize(self) -> None:
+        """Marginalize landmarks that were not seen for a while, those that were seen last at the same time together.
 
         There are several times more landmarks than poses, and a new scale moves them all.
         """
-        if len(self._sighted) <= UNSEEN:
+        if len(self._sighted) <= MARGINALIZE_AFTER:
             return
-        since = self._sighted[-1 - UNSEEN]
-        unseen: dict[float, list[int]] = {}
-        for landmark in self._sightings:
+        since = self._sighted[-1 - MARGINALIZE_AFTER]
+        out_of_sight: dict[float, list[int]] = {}
+        for landmark in self._marginalization:
             if self._stamps[landmark] <= since:
-                unseen.setdefault(self._stamps[landmark], []).append(landmark)
+                out_of_sight.setdefault(self._stamps[landmark], []).append(landmark)
         added, removed = gtsam.NonlinearFactorGraph(), []
-        for landmarks in unseen.values():
-            if self._is_loose(self._sightings.seen_from(landmarks[0])):
+        for landmarks in out_of_sight.values():
+            if self._may_turn(self._marginalization.seen_from(landmarks[0])):
                 continue
-            factors, slots = self._sightings.sum_up(landmarks, self)
+            factors, slots = self._marginalization.marginalize(landmarks, self)
             added.push_back(factors)
             removed += slots
         self._solver.update(added, gtsam.Values(), removed)
 
-    def _is_loose(self, pose: int) -> bool:
+    def _may_turn(self, pose: int) -> bool:
         """Whether the path may yet turn there, such as after images without landmarks."""
         turn = self._isam.marginalCovariance(pose)[:3, :3]
-        return bool(np.trace(turn) > LOOSE**2)
+        return bool(np.trace(turn) > MAX_ROTATION_SIGMA**2)
 
-    def _repair(self, error: RuntimeError, by_priors: bool = True) -> None:
+    def _recover(self, error: RuntimeError, by_priors: bool = True) -> None:
         """A solver that has thrown is not sound: begin a new one with all factors, until it does not throw."""
         values = gtsam.Values(self._isam.getLinearizationPoint())
-        self._sightings.insert_summed_up(values)
+        self._marginalization.insert_marginalized(values)
         for key in set(values.keys()) - set(self._stamps):
             values.erase(key)
         if self._settings.lag is not None:
             self._keep_within(values)
         held: set[int] = set()
-        for _ in range(ATTEMPTS):
+        for _ in range(MAX_RECOVERIES):
             found = _NAMED.search(str(error))
             key = int(found[1]) if found is not None and values.exists(int(found[1])) else None
             if by_priors and key is not None and key not in held | {CALIBRATION}:  # which has a prior: it is a landmark
                 held.add(key)
                 name = gtsam.DefaultKeyFormatter(key)
-                _log.warning("%s is not determined by what was measured; it is held within %g", name, WEAK)
-                self.repaired.append(name)
-                self._add(_prior(key, values, WEAK))
+                _log.warning("%s is not determined by what was measured; it is held within %g", name, WEAK_PRIOR_SIGMA)
+                self.recovered.append(name)
+                self._add(_prior(key, values, WEAK_PRIOR_SIGMA))
             elif not self._drop_newest_landmarks(values):
                 break
             self._begin()
@@ -284,9 +286,9 @@ class Solver:
         """
         self._remove(lambda key: not values.exists(key))
         if values.exists(CALIBRATION):
-            self._add(_prior(CALIBRATION, values, HELD))
+            self._add(_prior(CALIBRATION, values, ANCHOR_SIGMA))
         oldest = min((key for key in values.keys() if is_pose(key)), key=lambda key: self._stamps[key])  # noqa: SIM118
-        self._add(_prior(oldest, values, HELD))
+        self._add(_prior(oldest, values, ANCHOR_SIGMA))
 
     def _remove(self, gone: Callable[[int], bool]) -> None:
         """Remove all factors about variables that are gone."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import ResultsError
-from fvslam_graph.core.slam_estimate import Outcome, SlamEstimate
+from fvslam_graph.core.slam_estimate import MatchOutcome, SlamEstimate
 from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
 
 NEW = "new"  # in place of an outcome: begins at this frame
@@ -34,7 +34,7 @@ def landmark_rows(slam: SlamEstimate) -> str:
     rows = np.searchsorted(ids, searched.ids)
     ellipses = searched.ellipses.reshape(-1, 4)[:, [0, 1, 3]]
     values[rows, :7] = np.hstack([searched.expected, ellipses, searched.pixels])
-    outcomes[rows] = [Outcome(outcome).name.lower() for outcome in searched.outcome]
+    outcomes[rows] = [MatchOutcome(outcome).name.lower() for outcome in searched.outcome]
     rows = np.searchsorted(ids, kept.ids)
     values[rows, 7:] = np.hstack([kept.points, kept.covariances.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]])
     ages[rows] = kept.ages

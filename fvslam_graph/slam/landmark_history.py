@@ -12,7 +12,7 @@ NO_TRACK = -1
 
 
 @dataclass(frozen=True)
-class Records:
+class LandmarkHistory:
     """Counts of N landmarks.
 
     Attributes:
@@ -35,22 +35,26 @@ class Records:
         none = np.empty(0, np.int64)
         return cls(none, none, none, none, none)
 
-    def of(self, ids: NDArray[np.int64]) -> Records:
+    def of(self, ids: NDArray[np.int64]) -> LandmarkHistory:
         """Those of these landmarks, in their order."""
         rows = np.searchsorted(self.ids, ids)
-        return Records(self.ids[rows], self.born[rows], self.expected[rows], self.measured[rows], self.tracks[rows])
+        return LandmarkHistory(
+            self.ids[rows], self.born[rows], self.expected[rows], self.measured[rows], self.tracks[rows]
+        )
 
-    def counted(self, ids: NDArray[np.int64], expected: NDArray[np.bool_], measured: NDArray[np.bool_]) -> Records:
+    def counted(
+        self, ids: NDArray[np.int64], expected: NDArray[np.bool_], measured: NDArray[np.bool_]
+    ) -> LandmarkHistory:
         """After a frame in which some of the landmarks `ids`, (K,), were expected, (K,), and some measured, (K,)."""
         rows, more, hits = np.searchsorted(self.ids, ids), self.expected.copy(), self.measured.copy()
         more[rows] += expected
         hits[rows] += measured
         return replace(self, expected=more, measured=hits)
 
-    def begun(self, ids: NDArray[np.int64], frame: int, tracks: NDArray[np.int64]) -> Records:
+    def begun(self, ids: NDArray[np.int64], frame: int, tracks: NDArray[np.int64]) -> LandmarkHistory:
         """With new landmarks, (K,), whose ids are higher than all that exist, and their tracks, (K,)."""
         zero = np.zeros(len(ids), np.int64)
-        return Records(
+        return LandmarkHistory(
             np.concatenate([self.ids, ids]),
             np.concatenate([self.born, zero + frame]),
             np.concatenate([self.expected, zero]),

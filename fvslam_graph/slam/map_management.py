@@ -14,11 +14,11 @@ from fvslam_graph.core.config import SlamSettings
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.core.landmark_finder import LandmarkFinder
 from fvslam_graph.core.sequence import Frame
-from fvslam_graph.core.slam_estimate import Outcome, Searched
+from fvslam_graph.core.slam_estimate import LandmarkMatches, MatchOutcome
 from fvslam_graph.features.patches import MARGIN
 from fvslam_graph.slam.initialisation import depths_from_map, equal_depths, known_depths, with_new_landmarks
 from fvslam_graph.slam.inverse_depth import Array, linearity_index
-from fvslam_graph.slam.landmark_history import NO_TRACK, Records
+from fvslam_graph.slam.landmark_history import NO_TRACK, LandmarkHistory
 from fvslam_graph.slam.state import State
 
 SPACING = 15.0  # pixels at least between landmarks
@@ -44,13 +44,13 @@ class MapManager:
         self.camera = camera
         self.settings = settings
         self.finder = finder
-        self.records = Records.none()
+        self.records = LandmarkHistory.none()
         self.awaited = np.empty(0, np.int64)  # landmarks of maps that were lost: they are kept, as they may come back
         self._next_id = 0
         self._share = 1.0  # of the map that a frame measures
         self.distance = settings.unknown_distance  # metres, typical of what was seen last
 
-    def tidied(self, state: State, searched: Searched) -> State:
+    def tidied(self, state: State, searched: LandmarkMatches) -> State:
         """Without landmarks out of view and those rarely measured; those known well enough become points.
 
         Args:
@@ -59,7 +59,7 @@ class MapManager:
         """
         if len(searched):
             self._share += SMOOTHING * (float(searched.measured.mean()) - self._share)
-        in_view = searched.outcome != Outcome.OUT_OF_VIEW
+        in_view = searched.outcome != MatchOutcome.OUT_OF_VIEW
         self.records = self.records.counted(state.ids, in_view, searched.measured)
         mine = self.records.of(state.ids)
         rare = (mine.expected >= TRIALS) & (mine.measured < MIN_SUCCESS * mine.expected)

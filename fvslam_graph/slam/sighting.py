@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import gtsam
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.core.slam_estimate import Searched
+from fvslam_graph.core.slam_estimate import LandmarkMatches
 from fvslam_graph.slam.state import State
 
 
@@ -44,5 +44,5 @@ class Sighting:
     motion: GaussianPose
     previous: int
     map_T_camera: gtsam.Pose3
-    searched: Searched
+    searched: LandmarkMatches
     lost: bool

@@ -16,7 +16,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.core.landmark_finder import LandmarkFinder, Search
 from fvslam_graph.core.sequence import Frame
-from fvslam_graph.core.slam_estimate import Landmarks, Outcome, Searched, SlamEstimate
+from fvslam_graph.core.slam_estimate import LandmarkMatches, Landmarks, MatchOutcome, SlamEstimate
 from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.features.patches import MARGIN
@@ -107,7 +107,7 @@ class VSlam:
         self._failures, self._seen = 0, None
         state = predict_from_odometry(State.at(pose.mean, pose.covariance), prev_T_cur, seconds)
         state = self._map.grown(state, frame, points, self._map_T_camera)
-        return self._arrive(frame, state, prev_T_cur, Searched.none(), Status.TRACKED, frame.index)
+        return self._arrive(frame, state, prev_T_cur, LandmarkMatches.none(), Status.TRACKED, frame.index)
 
     @_BLAS.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
     def step(
@@ -194,10 +194,14 @@ class VSlam:
             state = compose(state, seconds)
             motion = last_motion(state, seconds)
 
-        outcome = np.where(found, Outcome.REJECTED, np.where(visible, Outcome.UNMATCHED, Outcome.OUT_OF_VIEW))
+        outcome = np.where(
+            found, MatchOutcome.REJECTED, np.where(visible, MatchOutcome.UNMATCHED, MatchOutcome.OUT_OF_VIEW)
+        )
         if not lost:
-            outcome[inliers], outcome[rescued] = Outcome.INLIER, Outcome.RESCUED
-        searched = Searched(state.ids, outcome, prediction.pixels, ellipses, np.where(found[:, None], pixels, np.nan))
+            outcome[inliers], outcome[rescued] = MatchOutcome.INLIER, MatchOutcome.RESCUED
+        searched = LandmarkMatches(
+            state.ids, outcome, prediction.pixels, ellipses, np.where(found[:, None], pixels, np.nan)
+        )
         return Sighting(state, motion, before.index, before.map_T_camera.compose(prev_T_cur), searched, lost)
 
     def _found_again(self, frame: Frame) -> Sighting | None:
@@ -261,7 +265,7 @@ class VSlam:
         return Status.REINITIALISED if textured and self._failures >= PATIENCE else Status.COASTED, textured
 
     def _brought_up_to_date(
-        self, state: State, frame: Frame, searched: Searched, status: Status, points: KnownPoints | None
+        self, state: State, frame: Frame, searched: LandmarkMatches, status: Status, points: KnownPoints | None
     ) -> State:
         """The state with its map as the next frame needs it."""
         if status is Status.TRACKED:
@@ -292,7 +296,7 @@ class VSlam:
         frame: Frame,
         state: State,
         motion: GaussianPose,
-        searched: Searched,
+        searched: LandmarkMatches,
         status: Status,
         previous: int,
     ) -> SlamEstimate:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE, legible, save
 from fvslam_graph.runs.ownership import claim_files
-from fvslam_graph.study.results import EXTERNAL, Outcome
+from fvslam_graph.study.results import EXTERNAL, StudyResults
 from fvslam_graph.study.statistics import COMPARED, Difference
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ SUFFIXES = (".png", ".pdf", ".svg")
 COLUMNS = 3  # panels beside each other
 
 
-def draw_study(outcome: Outcome, found: Sequence[Difference], out: Path) -> list[Path]:
+def draw_study(outcome: StudyResults, found: Sequence[Difference], out: Path) -> list[Path]:
     """Write accuracy, cost and differences as PNG, PDF and SVG; what there is nothing to draw of is left out.
 
     Returns:
@@ -44,13 +44,13 @@ def draw_study(outcome: Outcome, found: Sequence[Difference], out: Path) -> list
     return files
 
 
-def colours(outcome: Outcome) -> dict[str, str]:
+def colours(outcome: StudyResults) -> dict[str, str]:
     """One for each mode."""
     modes = outcome.table["mode"].unique()
     return {mode: RUN_COLOURS[number % len(RUN_COLOURS)] for number, mode in enumerate(modes)}
 
 
-def _panels(outcome: Outcome, height: float) -> tuple[Figure, Iterator[tuple[Axes, str, pd.DataFrame]]]:
+def _panels(outcome: StudyResults, height: float) -> tuple[Figure, Iterator[tuple[Axes, str, pd.DataFrame]]]:
     """A figure with a panel for each sequence that has ground truth, and its runs."""
     from matplotlib.figure import Figure
 
@@ -68,7 +68,7 @@ def _panels(outcome: Outcome, height: float) -> tuple[Figure, Iterator[tuple[Axe
     )
 
 
-def _accuracy(outcome: Outcome) -> Figure:
+def _accuracy(outcome: StudyResults) -> Figure:
     by_mode = colours(outcome)
     own = outcome.table[outcome.table["preset"] != EXTERNAL]
     names = [label for label in ("mode", "preset", "variant") if label == "mode" or own[label].nunique() > 1]
@@ -89,7 +89,7 @@ def _accuracy(outcome: Outcome) -> Figure:
     return figure
 
 
-def _cost(outcome: Outcome) -> Figure:
+def _cost(outcome: StudyResults) -> Figure:
     by_mode = colours(outcome)
     figure, panels = _panels(outcome, 2.8)
     for axes, sequence, runs in panels:

@@ -207,8 +207,8 @@ def numbers(evaluation: Evaluation) -> dict[str, float]:
         "r_rel": evaluation.drift.r_rel,
         "scale": evaluation.scale,
         "nees": np.nan if nees is None else nees.mean,
-        "path": evaluation.association.reference.path_length,
-        "associated": len(evaluation.association.indices),
+        "path": evaluation.pairs.reference.path_length,
+        "associated": len(evaluation.pairs.indices),
         "ape_smoothed": evaluation.smoothed,
     }
 

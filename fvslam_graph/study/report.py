@@ -12,7 +12,7 @@ import yaml
 from fvslam_graph.core.files import write_file
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.runs.provenance import provenance
-from fvslam_graph.study.results import COSTS, LABELS, Outcome
+from fvslam_graph.study.results import COSTS, LABELS, StudyResults
 from fvslam_graph.study.spec import Study
 from fvslam_graph.study.statistics import Difference, differences_table, verdicts
 
@@ -36,7 +36,7 @@ class Picture:
 
 def write_report(
     study: Study,
-    outcome: Outcome,
+    outcome: StudyResults,
     found: Sequence[Difference],
     figures: Sequence[Path],
     trajectories: Mapping[str, Sequence[Path]],
@@ -80,7 +80,7 @@ def _pictures(files: Sequence[Path]) -> list[Picture]:
     ]
 
 
-def _all_runs(outcome: Outcome) -> Table:
+def _all_runs(outcome: StudyResults) -> Table:
     columns = [*LABELS, "seed", *_ALL, *COSTS]
     cells = outcome.table[columns].map(lambda value: f"{value:.5g}" if isinstance(value, float) else str(value))
     return Table(columns, cells.replace({"nan": "-", "<NA>": "-"}).to_numpy().tolist(), len(LABELS))

@@ -51,7 +51,7 @@ _SUMMARY = {  # column of the table: its name, digits, factor
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StudyResults:
     """All runs of a study, in the order in which they were declared.
 
     Attributes:
@@ -64,7 +64,7 @@ class Outcome:
     align: Alignment
 
     @classmethod
-    def of(cls, rows: Iterable[Row], align: Alignment) -> Outcome:
+    def of(cls, rows: Iterable[Row], align: Alignment) -> StudyResults:
         """From rows as they come."""
         table = pd.DataFrame(list(rows)).reindex(columns=[*RESULTS, *COSTS])
         numbers = [column for column in table if column not in (*_WORDS, *_COUNTS)]

@@ -20,7 +20,7 @@ from fvslam_graph.study.external import external_row
 from fvslam_graph.study.figures import SUFFIXES, draw_study
 from fvslam_graph.study.jobs import Row
 from fvslam_graph.study.report import write_report
-from fvslam_graph.study.results import Outcome
+from fvslam_graph.study.results import StudyResults
 from fvslam_graph.study.spec import Study
 from fvslam_graph.study.statistics import differences
 
@@ -36,7 +36,7 @@ def carry_out(
     workers: int | None = None,
     scheduler: str | None = None,
     watch: Watch = lambda rows, total: rows,
-) -> Outcome:
+) -> StudyResults:
     """Run what has not been run yet, then write tables, figures and report.
 
     Leaves in `out`: runs/ (a run folder each), results.csv and .parquet, costs.csv, summary.md and .tex, figures/,
@@ -61,7 +61,9 @@ def carry_out(
             if row["status"] != "finished":
                 _log.warning("%s on %s: %s", row["mode"], row["sequence"], row["status"])
         rows: dict[int, Row] = dict(watch(execute_all(jobs, out / "runs", study.align, workers, scheduler), len(jobs)))
-        outcome = Outcome.of([*(rows[number] for number in range(len(jobs))), *(row for row, _ in others)], study.align)
+        outcome = StudyResults.of(
+            [*(rows[number] for number in range(len(jobs))), *(row for row, _ in others)], study.align
+        )
         _require_no_loss(outcome, out)
         found = differences(outcome)
         with writing(out):
@@ -76,7 +78,7 @@ def carry_out(
     return outcome
 
 
-def _require_no_loss(outcome: Outcome, out: Path) -> None:
+def _require_no_loss(outcome: StudyResults, out: Path) -> None:
     """Refuse to write over the results of runs that have come to their end, and fail now."""
     lost = outcome.lost(out)
     if len(lost):
@@ -102,7 +104,7 @@ def _external(study: Study) -> Iterator[tuple[Row, Run | None]]:
             yield external_row(name, file, sequence, study.align)
 
 
-def _draw_trajectories(outcome: Outcome, sequence: str, others: list[Run], out: Path) -> list[Path]:
+def _draw_trajectories(outcome: StudyResults, sequence: str, others: list[Run], out: Path) -> list[Path]:
     """Of each mode the run whose error is the median, with the first preset and variant, and other people's."""
     here = outcome.finished[(outcome.finished["sequence"] == sequence) & (outcome.finished["folder"] != "")]
     runs = []

@@ -13,7 +13,7 @@ from scipy.stats import bootstrap
 
 from fvslam_graph.core.files import one_line
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.study.results import EXTERNAL, Outcome
+from fvslam_graph.study.results import EXTERNAL, StudyResults
 
 CONFIDENCE = 0.95
 RESAMPLES = 9999
@@ -57,7 +57,7 @@ class Difference:
         return not (np.isnan(self.low) or self.low <= 1 <= self.high)
 
 
-def differences(outcome: Outcome, seed: int = 0) -> list[Difference]:
+def differences(outcome: StudyResults, seed: int = 0) -> list[Difference]:
     """All pairs of modes, by sequence and, where there are several, over all of them.
 
     Args:

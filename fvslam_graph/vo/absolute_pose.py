@@ -50,7 +50,7 @@ def locate(points: Array, pixels: Array, camera: Camera, settings: VoSettings, s
 
 
 @dataclass(frozen=True)
-class Located:
+class AbsolutePose:
     """A camera among points of known depth.
 
     Attributes:
@@ -67,7 +67,7 @@ class Located:
 
     @property
     def direction_covariance(self) -> Array:
-        """(5, 5) of rotation and direction of travel, as in TwoView."""
+        """(5, 5) of rotation and direction of travel, as in RelativePose."""
         metres, rotation = self.pose.mean.translation(), self.pose.mean.rotation().matrix()
         length = float(np.linalg.norm(metres))
         jacobian = np.zeros((5, 6))
@@ -79,7 +79,7 @@ class Located:
 
 def refine(
     ref_T_cur: gtsam.Pose3, rays: Array, tracks: Tracks, depths: InverseDepths, camera: Camera
-) -> Located | None:
+) -> AbsolutePose | None:
     """The pose near another by all tracks, each counting for what its depth tells, however little that is.
 
     Iteratively reweighted least squares (Cauchy); the covariance is that of the M-estimator, from residuals that may
@@ -118,4 +118,4 @@ def refine(
     weighted = jacobian / np.repeat(1 + errors.squares[agree] / KERNEL**2, 2)[:, None]
     pull = weighted.T @ errors.by_calibration[agree].reshape(-1, 2)
     by_calibration: Array = -np.linalg.inv(weighted.T @ jacobian) @ pull
-    return Located(GaussianPose(ref_T_cur, covariance), agree, noise, by_calibration)
+    return AbsolutePose(GaussianPose(ref_T_cur, covariance), agree, noise, by_calibration)

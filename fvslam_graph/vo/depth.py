@@ -37,7 +37,7 @@ def triangulate(
         baseline: (3,) from the previous camera to the current one, in the previous; its length is the unit of depth.
         focal: Pixels.
         noise: Pixels, standard deviation of a track's displacement along each axis.
-        covariance: (5, 5) of rotation and direction, as in TwoView; without it, they are exact.
+        covariance: (5, 5) of rotation and direction, as in RelativePose; without it, they are exact.
         covariances: (N, 2, 2) of the displacements, as in Tracks; without them, all are those of corners.
     """
     rotated = current @ rotation.matrix().T

@@ -39,7 +39,7 @@ def epipolar_distance(
         covariances: (N, 2, 2) as of Tracks; with them, a distance is as long as if it were a corner's.
 
     Returns:
-        Pixels, and in the tangent of TwoView.
+        Pixels, and in the tangent of RelativePose.
     """
     # A line is linear in the direction: with it come its derivatives along the two axes of the tangent.
     axes = np.column_stack([direction, gtsam.Unit3(direction).basis()])

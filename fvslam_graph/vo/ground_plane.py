@@ -19,7 +19,7 @@ from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import epipolar_distance, rays
-from fvslam_graph.vo.relative_pose import TwoView
+from fvslam_graph.vo.relative_pose import RelativePose
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
 _WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car
@@ -70,7 +70,7 @@ class GroundAligner:
         self,
         previous: Image,
         current: Image,
-        two_view: TwoView,
+        two_view: RelativePose,
         ray: NDArray[np.float64],
         depths: InverseDepths,
         expected: float | None,
@@ -107,7 +107,7 @@ class GroundAligner:
         self,
         previous: Image,
         current: Image,
-        two_view: TwoView,
+        two_view: RelativePose,
         plane: NDArray[np.float64],
         rng: np.random.Generator,
     ) -> GroundPlane | None:
@@ -140,7 +140,7 @@ class GroundAligner:
         self,
         previous: Image,
         current: Image,
-        two_view: TwoView,
+        two_view: RelativePose,
         plane: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], InverseDepths] | None:
         """Rays (N, 3) of ground patches and their inverse depths, found near where `plane` predicts them.

@@ -7,45 +7,45 @@ from dataclasses import dataclass
 
 from fvslam_graph.core.inverse_depths import MetricMap
 from fvslam_graph.core.sequence import Frame
-from fvslam_graph.core.tracks import Association
+from fvslam_graph.core.tracks import FeatureTracker
 
 MEMORY = 3.0  # seconds for which a lost reference is looked for,
 REMEMBERED = 2  # and so many of them
 
 
 @dataclass(frozen=True)
-class LostReference:
+class LostKeyframe:
     """A reference with all that it takes to go on from it.
 
     Attributes:
         frame: Its image.
         map: What is known of the depths of its points.
-        association: Finds these points.
+        tracker: Finds these points.
         stamp: Until when it was tracked.
     """
 
     frame: Frame
     map: MetricMap
-    association: Association
+    tracker: FeatureTracker
     stamp: float
 
 
-class LostReferences:
+class LostKeyframes:
     """The last few, for some seconds."""
 
     def __init__(self) -> None:
-        self._references: deque[LostReference] = deque(maxlen=REMEMBERED)
+        self._references: deque[LostKeyframe] = deque(maxlen=REMEMBERED)
 
     @property
     def indices(self) -> tuple[int, ...]:
         """Indices of their frames."""
         return tuple(reference.frame.index for reference in self._references)
 
-    def add(self, reference: LostReference) -> None:
+    def add(self, reference: LostKeyframe) -> None:
         """Remember one more."""
         self._references.append(reference)
 
-    def remembered(self, stamp: float) -> list[LostReference]:
+    def remembered(self, stamp: float) -> list[LostKeyframe]:
         """Those that are not forgotten at a time, the oldest first."""
         while self._references and stamp - self._references[0].stamp > MEMORY:
             self._references.popleft()

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
-from fvslam_graph.vo.relative_pose import TwoView
+from fvslam_graph.vo.relative_pose import RelativePose
 
 
-def metric_pose(two_view: TwoView, scale: LogScale) -> GaussianPose:
+def metric_pose(two_view: RelativePose, scale: LogScale) -> GaussianPose:
     """The pose prev_T_cur of two views with a scale.
 
     Its covariance holds what two views tell, and the scale along the baseline.
@@ -24,7 +24,7 @@ def metric_pose(two_view: TwoView, scale: LogScale) -> GaussianPose:
     return GaussianPose(prev_T_cur, (covariance + covariance.T) / 2)
 
 
-def metric_jacobian(two_view: TwoView, scale: LogScale) -> NDArray[np.float64]:
+def metric_jacobian(two_view: RelativePose, scale: LogScale) -> NDArray[np.float64]:
     """How the pose changes with what two views tell, and with the logarithm of the scale, (6, 6)."""
     cur_R_prev = two_view.rotation.matrix().T
     jacobian = np.zeros((6, 6))

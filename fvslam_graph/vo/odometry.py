@@ -17,7 +17,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale, ScaledPose
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.stopwatch import Stopwatch
-from fvslam_graph.core.tracks import Association, Tracks
+from fvslam_graph.core.tracks import FeatureTracker, Tracks
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.core.vo_estimate import ScaleStep, VoEstimate
 from fvslam_graph.features.detection import detect
@@ -28,11 +28,11 @@ from fvslam_graph.vo.absolute_pose import locate, refine
 from fvslam_graph.vo.depth import triangulate, typical_depth
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground_plane import GroundAligner
-from fvslam_graph.vo.lost_keyframes import LostReference, LostReferences
+from fvslam_graph.vo.lost_keyframes import LostKeyframe, LostKeyframes
 from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
 from fvslam_graph.vo.motion_model import ConstantVelocity
-from fvslam_graph.vo.plausibility import Plausibility
-from fvslam_graph.vo.relative_pose import estimate_two_view
+from fvslam_graph.vo.plausibility import MotionGate
+from fvslam_graph.vo.relative_pose import estimate_relative_pose
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import MetricScale
 
@@ -75,7 +75,7 @@ class VisualOdometry:
         config: Settings.
         ground: What is known of the ground plane; the scale source `plane` needs it.
         true_baseline: Distance in metres between two frames by index, for the scale source `oracle`.
-        association: Finds points again; by itself what the settings say.
+        tracker: Finds points again; by itself what the settings say.
     """
 
     def __init__(
@@ -84,13 +84,13 @@ class VisualOdometry:
         config: Config,
         ground: Ground | None = None,
         true_baseline: Callable[[int, int], float] | None = None,
-        association: Association | None = None,
+        tracker: FeatureTracker | None = None,
     ) -> None:
         self.camera = camera
         self.settings = config.vo
         self._rng = np.random.default_rng(config.seed)
         self._features = config.features
-        self._association: Association = association or (
+        self._tracker: FeatureTracker = tracker or (
             KltTracker(config.features) if config.features.association == "klt" else NccMatcher(config.features)
         )
         self._down = None if ground is None else ground.normal
@@ -99,7 +99,7 @@ class VisualOdometry:
             aligner = GroundAligner(camera, ground.normal, ground.normal_sigma, config.scale.ground)
         self._scale = MetricScale(config.scale, aligner, true_baseline)
         self._motion_model = ConstantVelocity(config.vo)
-        self._plausibility = Plausibility()
+        self._gate = MotionGate()
         self._stopwatch = Stopwatch()
 
         self._reference: Frame | None = None
@@ -109,7 +109,7 @@ class VisualOdometry:
         self._last_stamp = math.nan
         self._first = 0  # index of the first frame
         self._seen = Tracks.none()  # where the points were when the camera last moved
-        self._lost = LostReferences()
+        self._lost = LostKeyframes()
         self._failures = 0  # usable images in a row that did not fit the reference
         self._apart = np.empty(0, np.int64)  # tracks not to be used for the motion
 
@@ -132,7 +132,7 @@ class VisualOdometry:
         if (found := self._found_again(frame)) is not None:
             return found
         with self._stopwatch.stage("association"):
-            tracks = self._association.track(frame.image)
+            tracks = self._tracker.track(frame.image)
         if len(tracks) < self.settings.min_inliers:
             return self._lose(frame)
         with self._stopwatch.stage("pose"):
@@ -179,7 +179,7 @@ class VisualOdometry:
     def _believed(self, frame: Frame, motion: _Motion) -> _Motion | None:
         """The motion with what may be wrong about it; None where the camera can hardly have moved so."""
         assert self._reference is not None
-        pose = self._plausibility.judged(
+        pose = self._gate.apply(
             motion.ref_T_cur,
             self._predict(frame),
             frame.stamp,
@@ -188,7 +188,7 @@ class VisualOdometry:
         )
         if pose is None:
             return None
-        if self._plausibility.insisted and motion.scale is not None:
+        if self._gate.insisted and motion.scale is not None:
             # Where the motion is doubtful, so is the scale in which it was triangulated.
             known = MetricMap(motion.map.depths, motion.map.variance + GUESS)
             return replace(motion, ref_T_cur=pose.with_scale_variance(GUESS), map=known)
@@ -234,7 +234,7 @@ class VisualOdometry:
         with self._stopwatch.stage("pose"):
             used = self._used(tracks)
             expected = [located or self._predict(frame).mean]
-            two_view = estimate_two_view(
+            two_view = estimate_relative_pose(
                 tracks[used], self.camera, self.settings, self._seed(), expected, self._map.depths
             )
         if two_view is None:
@@ -338,8 +338,8 @@ class VisualOdometry:
         if patient:
             return estimate
         if self._reference is not None and len(self._map) >= self.settings.min_inliers:
-            association = copy(self._association)
-            self._lost.add(LostReference(self._reference, self._map, association, self._last_stamp))
+            tracker = copy(self._tracker)
+            self._lost.add(LostKeyframe(self._reference, self._map, tracker, self._last_stamp))
         return replace(self._refer_after(estimate, frame), awaited=self._lost.indices)
 
     def _found_again(self, frame: Frame) -> VoEstimate | None:
@@ -347,18 +347,18 @@ class VisualOdometry:
         for reference in self._lost.remembered(frame.stamp):
             motion = self._return_to(reference, frame)
             if motion is not None:
-                self._lost = LostReferences()
+                self._lost = LostKeyframes()
                 self._reference, self._last_stamp = reference.frame, reference.stamp
                 estimate = self._accept(frame, motion)
                 self._refer_to(frame, motion.tracks, estimate.map)
                 return estimate
         return None
 
-    def _return_to(self, reference: LostReference, frame: Frame) -> _Motion | None:
+    def _return_to(self, reference: LostKeyframe, frame: Frame) -> _Motion | None:
         """The motion from another reference, if enough of its points are found, and most of these agree."""
         assert frame.image is not None
         with self._stopwatch.stage("association"):
-            tracks = reference.association.track(frame.image)
+            tracks = reference.tracker.track(frame.image)
         if len(tracks) < ENOUGH * self.settings.min_inliers:
             return None
         located = self._locate(tracks, reference.map)
@@ -387,11 +387,11 @@ class VisualOdometry:
     def _refer_to(self, frame: Frame, kept: Tracks, known: MetricMap) -> None:
         assert frame.image is not None
         with self._stopwatch.stage("detection"):
-            self._seen = self._association.rebase(frame.image, kept)
+            self._seen = self._tracker.rebase(frame.image, kept)
         self._reference, self._map, self._points = frame, known, len(self._seen)
         self._ref_T_last = GaussianPose.identity()
         self._failures = 0
-        self._plausibility.forget()
+        self._gate.forget()
 
     def _guess(self, unit: InverseDepths) -> LogScale:
         """The scale at which triangulated points are as far away as things usually are."""

@@ -46,7 +46,7 @@ class _Doubt:
         return np.outer(apart, apart)
 
 
-class Plausibility:
+class MotionGate:
     """Holds measured motions against what the motion model expects.
 
     One that forces can hardly have brought about is not believed: images may come in the wrong order, freeze, or show
@@ -60,7 +60,7 @@ class Plausibility:
         self._believed = 0.0  # stamp of the last motion that was
         self.insisted = False  # whether it was only since the images insisted
 
-    def judged(
+    def apply(
         self, measured: GaussianPose, expected: GaussianPose, stamp: float, start: float, accelerations: Array
     ) -> GaussianPose | None:
         """The measured motion with a covariance that says how far it is to be believed; None where it is not.

@@ -35,7 +35,7 @@ BEHIND = 5.0  # deviations that a depth behind the camera counts for
 
 
 @dataclass(frozen=True)
-class TwoView:
+class RelativePose:
     """What two views truly measure: five degrees of freedom.
 
     Attributes:
@@ -56,14 +56,14 @@ class TwoView:
     by_calibration: NDArray[np.float64]
 
 
-def estimate_two_view(
+def estimate_relative_pose(
     tracks: Tracks,
     camera: Camera,
     settings: VoSettings,
     seed: int,
     expected: Sequence[gtsam.Pose3] = (),
     known: InverseDepths | None = None,
-) -> TwoView | None:
+) -> RelativePose | None:
     """The relative pose that explains best how points move, and what is known of their depths; None without one.
 
     Points on a plane have two solutions that explain two views alike, and noise often prefers the wrong one. So what
@@ -117,7 +117,7 @@ def estimate_two_view(
     weighted = best.jacobian[told] / (1 + (best.distance[told, None] / (KERNEL * best.noise)) ** 2)
     pull = weighted.T @ matches.by_calibration(best.rotation, best.direction)[told]
     by_calibration = -np.linalg.inv(weighted.T @ best.jacobian[told]) @ pull
-    return TwoView(best.rotation, best.direction, covariance, inliers, best.noise, by_calibration)
+    return RelativePose(best.rotation, best.direction, covariance, inliers, best.noise, by_calibration)
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.config import ScaleSettings, ScaleSource
 from fvslam_graph.core.errors import ConfigError
-from fvslam_graph.core.gaussian_pose import VAGUE, LogScale
+from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.vo_estimate import ScaleStep
 from fvslam_graph.vo.ground_plane import GroundAligner
-from fvslam_graph.vo.relative_pose import TwoView
+from fvslam_graph.vo.relative_pose import RelativePose
 from fvslam_graph.vo.scale_filter import ScaleFilter
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
@@ -51,7 +51,7 @@ class MetricScale:
         self,
         previous: Frame,
         current: Frame,
-        two_view: TwoView,
+        two_view: RelativePose,
         rays: NDArray[np.float64],
         unit: InverseDepths,
         known: MetricMap,
@@ -118,7 +118,7 @@ class MetricScale:
         self,
         previous: Frame,
         current: Frame,
-        two_view: TwoView,
+        two_view: RelativePose,
         rays: NDArray[np.float64],
         unit: InverseDepths,
         predicted: LogScale,
@@ -128,7 +128,7 @@ class MetricScale:
         height = previous.height
         if self._aligner is None or previous.image is None or current.image is None or not height > 0:
             return None
-        expected = predicted.metres / height if predicted.variance < VAGUE else None
+        expected = predicted.metres / height if predicted.variance < UNINFORMATIVE_VARIANCE else None
         ground = self._aligner.measure(previous.image, current.image, two_view, rays, unit, expected, rng)
         if ground is None:
             return None

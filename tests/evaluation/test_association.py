@@ -4,7 +4,7 @@ import pytest
 
 from fvslam_graph.core.errors import ResultsError, TrajectoryError
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.evaluation.association import Association, associate, load_trajectory
+from fvslam_graph.evaluation.association import TrajectoryPairs, associate, load_trajectory
 
 
 def straight(stamps: np.ndarray) -> Trajectory:
@@ -68,7 +68,7 @@ def test_files_are_recognised(tmp_path, make_run) -> None:
 def test_a_kitti_file_belongs_row_by_row_to_the_other(tmp_path, kitti: str) -> None:
     paths = {"estimate": tmp_path / "estimate", "reference": tmp_path / "reference"}
 
-    def pair() -> Association:
+    def pair() -> TrajectoryPairs:
         return associate(load_trajectory(paths["estimate"]), load_trajectory(paths["reference"]))
 
     for name, path in paths.items():

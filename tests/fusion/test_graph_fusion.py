@@ -8,13 +8,13 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame
-from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.graph.factors import position_factor
 
 CAMERA = Camera(640, 480, 450.0, 450.0, 319.5, 239.5)
-NOTHING = Views(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
+NOTHING = LandmarkObservations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
 
 
 def motion(metres: float, seed: int) -> GaussianPose:

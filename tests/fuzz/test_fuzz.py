@@ -47,7 +47,7 @@ def recording(path: Path) -> Facts:
 def evaluation(estimate: Path, reference: Path | None = None) -> Facts:
     result = evaluation_of(estimate, reference)
     errors = {name: error.stats["rmse"] for name, error in result.errors.items()}
-    return errors | {"poses": len(result.association.indices)}, result.notes
+    return errors | {"poses": len(result.pairs.indices)}, result.notes
 
 
 class Subject(NamedTuple):

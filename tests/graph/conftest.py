@@ -10,7 +10,7 @@ import pytest
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.graph.factor_graph import Graph
 from fvslam_graph.simulation.points import PointScene, simulate_drive
@@ -95,7 +95,7 @@ def fed() -> Callable[..., Fed]:
                         seen_at = camera.normalize(scene.camera.project(points))
                         points = points[:, 2:] * np.column_stack([seen_at, np.ones(len(points))])
                     names = followed if recognised or index < dark.start else followed + len(scene.landmarks)
-                    views = Views(names, pixels, points, np.tile(0.05**2 * np.eye(3), (len(rows), 1, 1)))
+                    views = LandmarkObservations(names, pixels, points, np.tile(0.05**2 * np.eye(3), (len(rows), 1, 1)))
                 made.motions.append((last, index, made.graph.fuse(views)))
                 last = index
         return made

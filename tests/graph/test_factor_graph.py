@@ -51,8 +51,8 @@ def test_as_good_as_the_batch_optimum(fed):
         batch = gtsam.LevenbergMarquardtOptimizer(factors, values, gtsam.LevenbergMarquardtParams()).optimize()
         assert factors.error(values) <= 1.05 * factors.error(batch)  # measured up to 1.035
         best.append(made.error())
-        settled = made.graph.solver.values()
-        assert factors.error(settled) == pytest.approx(factors.error(batch), rel=1e-5)
+        optimum = made.graph.solver.values()
+        assert factors.error(optimum) == pytest.approx(factors.error(batch), rel=1e-5)
     assert np.mean(online) < 1.1 * np.mean(best)  # measured 0.0605 and 0.0597 m
 
 
@@ -109,7 +109,7 @@ def test_darkness_of_ten_updates(fed, recognised, seeds):
     turns, noises = [], []
     for seed in seeds:
         graph = fed(frames=101, seed=seed, dark=range(41, 61), recognised=recognised, count=80).graph
-        assert graph.solver.repaired == []
+        assert graph.solver.recovered == []
         turns.append(np.sqrt(np.trace(graph.pose(100).covariance[:3, :3])))
         noises.append(graph._noise.sigma)
     if recognised:  # by two to ten landmarks, among which the path takes a while to swing into place
@@ -168,7 +168,7 @@ def test_a_variable_that_is_not_determined_is_named_and_held(caplog):
     values.insert(pose_key(0), gtsam.Pose3())
     values.insert(pose_key(1), gtsam.Pose3(gtsam.Rot3(), position))
     solver.update(factors, values, {pose_key(0): 0.0, pose_key(1): 0.0})
-    assert solver.repaired == ["x1"]
+    assert solver.recovered == ["x1"]
     assert "x1 is not determined" in caplog.text
     assert solver.pose(pose_key(1)).translation() == pytest.approx(position)
 
@@ -190,8 +190,8 @@ def test_a_landmark_that_steps_behind_a_camera_is_left_out(point, kept):
         kept,
         4 if kept else 2,
     )
-    assert solver.repaired == []
-    solver.settle()
+    assert solver.recovered == []
+    solver.optimize()
     assert solver.pose(pose_key(0)).equals(gtsam.Pose3(), 1e-6)
 
 
@@ -223,7 +223,7 @@ def test_a_landmark_that_no_prior_helps_is_dropped(caplog):
     solver.update(factors, values, {pose_key(2): 0.2, landmark_key(8): 0.2})
     assert "without the 1 landmarks" in caplog.text
     assert solver.has(landmark_key(7)) and not solver.has(landmark_key(8))
-    solver.settle()
+    solver.optimize()
     assert solver.pose(pose_key(2)).equals(poses[2], 1e-3)
 
 
@@ -338,7 +338,7 @@ def test_poses_that_are_not_determined_are_left_out(fed, monkeypatch):
         return found
 
     monkeypatch.setattr(Solver, "values", values)
-    monkeypatch.setattr(Solver, "settle", lambda self: None)
+    monkeypatch.setattr(Solver, "optimize", lambda self: None)
     smoothed = graph.smoothed()
     assert len(smoothed) == graph.frames - 1 and 0.7 not in smoothed.stamps
 

@@ -6,8 +6,8 @@ import pytest
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
-from fvslam_graph.core.slam_estimate import Views
-from fvslam_graph.graph.landmark_candidates import Newcomers
+from fvslam_graph.core.slam_estimate import LandmarkObservations
+from fvslam_graph.graph.landmark_candidates import LandmarkCandidates
 
 CAMERA = Camera(640, 480, 450.0, 450.0, 319.5, 239.5)
 POINT = np.array([0.2, 0.1, 6.0])
@@ -16,18 +16,18 @@ TURNED = gtsam.Pose3(gtsam.Rot3.Rodrigues(0.0, 0.01, 0.0), TRUE[3].translation()
 SHIFTED = gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.05, 0.0]))  # 3.7 pixels
 
 
-def handed_out(last: gtsam.Pose3, wander: list[np.ndarray]) -> int:
+def handed_out(last: gtsam.Pose3, drift_variance: list[np.ndarray]) -> int:
     """How many landmarks enter at the last of four frames, where odometry has the camera there."""
-    newcomers, poses = Newcomers(GraphSettings(min_views=4)), [*TRUE[:3], last]
+    candidates, poses = LandmarkCandidates(GraphSettings(min_views=4)), [*TRUE[:3], last]
     for index, true in enumerate(TRUE):
         there = true.transformTo(POINT)[None]
-        views = Views(np.array([7]), CAMERA.project(there), there, 0.01 * np.eye(3)[None])
-        ready = newcomers.ready(index, views, np.zeros(1, bool), poses, wander, lambda _: True, CAMERA)
+        views = LandmarkObservations(np.array([7]), CAMERA.project(there), there, 0.01 * np.eye(3)[None])
+        ready = candidates.ready(index, views, np.zeros(1, bool), poses, drift_variance, lambda _: True, CAMERA)
     return len(ready)
 
 
 @pytest.mark.parametrize(
-    ("last", "wander", "enters"),
+    ("last", "drift_variance", "enters"),
     [
         (TRUE[3], [0, 0], True),
         (TURNED, [1e-6, 0], False),
@@ -36,10 +36,10 @@ def handed_out(last: gtsam.Pose3, wander: list[np.ndarray]) -> int:
         (SHIFTED, [0, 0.05**2], True),
     ],
 )
-def test_views_agree_as_well_as_odometry_knows_them_to_each_other(last, wander, enters):
+def test_views_agree_as_well_as_odometry_knows_them_to_each_other(last, drift_variance, enters):
     """Else, where odometry has failed, no landmark would enter that could tell where the camera went."""
     exact = np.zeros((2, 2))
-    assert handed_out(last, [exact, exact, exact, np.array([wander, [0, 0]])]) == enters
+    assert handed_out(last, [exact, exact, exact, np.array([drift_variance, [0, 0]])]) == enters
 
 
 def test_motions_from_one_frame():

@@ -1,4 +1,4 @@
-"""Landmarks summed up in one factor, against the factors themselves."""
+"""Landmarks marginalized in one factor, against the factors themselves."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,8 @@ from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.graph.calibration import CALIBRATION
 from fvslam_graph.graph.factors import LandmarkFactors, landmark_key, motion_factor, pose_factor, pose_key
-from fvslam_graph.graph.marginalization import Sightings, Summary
-from fvslam_graph.graph.solver import UNSEEN
+from fvslam_graph.graph.marginalization import LandmarkMarginal, Marginalization
+from fvslam_graph.graph.solver import MARGINALIZE_AFTER
 from fvslam_graph.simulation.points import simulate_drive
 
 from .conftest import MOTION
@@ -25,18 +25,18 @@ class Small:
     """A few poses that see the same landmarks.
 
     Attributes:
-        motions, sightings: Factors.
+        motions, projections: Factors.
         landmarks: Keys.
         estimate: The optimum of all factors.
     """
 
     motions: gtsam.NonlinearFactorGraph
-    sightings: gtsam.NonlinearFactorGraph
+    projections: gtsam.NonlinearFactorGraph
     landmarks: list[int]
     estimate: gtsam.Values
 
     def whole(self) -> gtsam.NonlinearFactorGraph:
-        return _graph(self.motions, self.sightings)
+        return _graph(self.motions, self.projections)
 
     def poses(self) -> gtsam.Values:
         """And the camera."""
@@ -58,7 +58,7 @@ def _graph(*parts: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
 def small() -> Small:
     scene, rng = simulate_drive(frames=10, seed=2, noise=PIXEL, landmarks=1500), np.random.default_rng(2)
     settings = GraphSettings(common_noise=0.0)
-    motions, sightings, values = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    motions, projections, values = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph(), gtsam.Values()
     poses = scene.trajectory.poses
     factors = LandmarkFactors(scene.camera, settings)
     motions.add(pose_factor(0, GaussianPose.identity()))
@@ -75,21 +75,21 @@ def small() -> Small:
         values.insert(landmark_key(landmark), poses[0].transformFrom(scene.in_camera(0)[landmark]))
         for frame, observed in zip(FRAMES, seen, strict=True):
             pixel = observed.pixels[np.searchsorted(observed.ids, landmark)]
-            sightings.add(factors.projection(frame, landmark, pixel, PIXEL, len(shared)))
-    optimum = gtsam.LevenbergMarquardtOptimizer(_graph(motions, sightings), values).optimize()
-    return Small(motions, sightings, [landmark_key(landmark) for landmark in shared], optimum)
+            projections.add(factors.projection(frame, landmark, pixel, PIXEL, len(shared)))
+    optimum = gtsam.LevenbergMarquardtOptimizer(_graph(motions, projections), values).optimize()
+    return Small(motions, projections, [landmark_key(landmark) for landmark in shared], optimum)
 
 
 def test_says_the_same_of_the_poses(small):
-    summary = Summary(small.sightings, small.landmarks, small.estimate)
+    marginal = LandmarkMarginal(small.projections, small.landmarks, small.estimate)
     short = small.motions.clone()
-    short.add(summary.factor)
+    short.add(marginal.factor)
     whole = gtsam.Marginals(small.whole(), small.estimate)
-    summed_up = gtsam.Marginals(short, small.poses())
+    marginals = gtsam.Marginals(short, small.poses())
     without = gtsam.Marginals(small.motions, small.poses())
     for frame in FRAMES:
         covariance = whole.marginalCovariance(pose_key(frame))
-        assert summed_up.marginalCovariance(pose_key(frame)) == pytest.approx(covariance, rel=1e-6, abs=1e-15)
+        assert marginals.marginalCovariance(pose_key(frame)) == pytest.approx(covariance, rel=1e-6, abs=1e-15)
     last = pose_key(FRAMES[-1])
     assert np.trace(whole.marginalCovariance(last)) < 0.8 * np.trace(without.marginalCovariance(last))
 
@@ -99,11 +99,11 @@ def test_poses_and_landmarks_are_those_of_the_whole(small):
     rng, off = np.random.default_rng(5), gtsam.Values(small.estimate)
     for frame in FRAMES[1:]:
         off.update(pose_key(frame), off.atPose3(pose_key(frame)).retract(0.5 * MOTION * rng.standard_normal(6)))
-    summary = Summary(small.sightings, small.landmarks, off)
+    marginal = LandmarkMarginal(small.projections, small.landmarks, off)
     short = small.motions.clone()
-    short.add(summary.factor)
+    short.add(marginal.factor)
     found = gtsam.LevenbergMarquardtOptimizer(short, small.poses()).optimize()
-    summary.insert_landmarks(found)
+    marginal.insert_landmarks(found)
     for frame in FRAMES:
         assert found.atPose3(pose_key(frame)).equals(small.estimate.atPose3(pose_key(frame)), 2e-3)
     whole = small.whole()
@@ -112,15 +112,15 @@ def test_poses_and_landmarks_are_those_of_the_whole(small):
 
 @pytest.mark.parametrize(("scale", "shift"), [(1.3, 0.0), (1.0, 20.0), (0.8, 5.0)])
 def test_a_shift_and_a_change_of_scale_leave_it_alone(small, scale, shift):
-    summary = Summary(small.sightings, small.landmarks, small.estimate)
+    marginal = LandmarkMarginal(small.projections, small.landmarks, small.estimate)
     moved, poses = gtsam.Values(), small.poses()
     moved.insert(CALIBRATION, poses.atCal3Bundler(CALIBRATION))
     for frame in FRAMES:
         pose = poses.atPose3(pose_key(frame))
         moved.insert(pose_key(frame), gtsam.Pose3(pose.rotation(), scale * pose.translation() + shift))
-    assert summary.factor.error(moved) == pytest.approx(summary.factor.error(poses), rel=1e-6)
-    summary.insert_landmarks(moved)
-    assert small.sightings.error(moved) == pytest.approx(small.sightings.error(small.estimate), rel=1e-6)
+    assert marginal.factor.error(moved) == pytest.approx(marginal.factor.error(poses), rel=1e-6)
+    marginal.insert_landmarks(moved)
+    assert small.projections.error(moved) == pytest.approx(small.projections.error(small.estimate), rel=1e-6)
 
 
 def test_the_solver_sums_up_what_is_out_of_sight(fed):
@@ -130,8 +130,8 @@ def test_the_solver_sums_up_what_is_out_of_sight(fed):
     online, factors = solver.values(), solver.factors()
     landmarks = [key for key in online.keys() if gtsam.Symbol(key).chr() == ord("l")]  # noqa: SIM118
     kept = [key for key in landmarks if solver.has(key)]
-    assert 2 * UNSEEN < len(kept) < 0.4 * len(landmarks)  # measured 46 of 196
-    solver.settle()
+    assert 2 * MARGINALIZE_AFTER < len(kept) < 0.4 * len(landmarks)  # measured 46 of 196
+    solver.optimize()
     optimum = solver.values()
     batch = gtsam.LevenbergMarquardtOptimizer(factors, online).optimize()
     assert factors.error(optimum) == pytest.approx(factors.error(batch), rel=1e-5)
@@ -144,7 +144,7 @@ def test_the_solver_sums_up_what_is_out_of_sight(fed):
 
 
 class _At:
-    """An estimate, as `Sightings` asks for it."""
+    """An estimate, as `Marginalization` asks for it."""
 
     def __init__(self, values: gtsam.Values) -> None:
         self._values = values
@@ -166,14 +166,14 @@ class _At:
 @pytest.mark.parametrize("nowhere", [np.array([0.0, 0.0, -5.0]), np.full(3, np.inf)], ids=["behind", "infinite"])
 def test_a_landmark_that_is_not_determined_is_left_alone(small, nowhere):
     """A projection says nothing of what lies behind the camera."""
-    values, sightings = gtsam.Values(small.estimate), Sightings()
+    values, marginalization = gtsam.Values(small.estimate), Marginalization()
     values.update(small.landmarks[3], nowhere)
-    sightings.add(small.sightings, list(range(small.sightings.size())))
-    added, slots = sightings.sum_up(small.landmarks, _At(values))
+    marginalization.add(small.projections, list(range(small.projections.size())))
+    added, slots = marginalization.marginalize(small.landmarks, _At(values))
     assert added.size() == 1
-    assert set(sightings) == {small.landmarks[3]}
-    assert len(slots) == small.sightings.size() - len(FRAMES)
+    assert set(marginalization) == {small.landmarks[3]}
+    assert len(slots) == small.projections.size() - len(FRAMES)
     poses = small.poses()
-    sightings.insert_summed_up(poses)
+    marginalization.insert_marginalized(poses)
     assert not poses.exists(small.landmarks[3])
     assert poses.atPoint3(small.landmarks[0]) == pytest.approx(small.estimate.atPoint3(small.landmarks[0]), abs=1e-4)

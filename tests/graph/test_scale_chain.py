@@ -13,7 +13,7 @@ from fvslam_graph.core.config import GraphSettings, ScaleSettings
 from fvslam_graph.core.frame_result import FACTORS, G2O, VALUES
 from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
 from fvslam_graph.core.sequence import Frame
-from fvslam_graph.core.slam_estimate import Views
+from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.vo_estimate import OdometryStep, ScaleStep
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.fusion.graph_fusion import GraphFusion
@@ -29,7 +29,7 @@ METRES = float(np.linalg.norm(STEP.translation()))
 TRUE = list(accumulate([STEP] * 50, gtsam.Pose3.compose, initial=gtsam.Pose3()))
 OWN = np.diag(np.repeat([1e-4, 1e-3], 3) ** 2)  # of a motion, without its scale
 DRIFT = 0.006  # of log scale per step
-NOTHING = Views(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
+NOTHING = LandmarkObservations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
 
 
 def steps(count: int, seed: int = 0) -> list[ScaleStep]:

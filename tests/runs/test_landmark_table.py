@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.core.slam_estimate import Landmarks, Outcome, Searched, SlamEstimate
+from fvslam_graph.core.slam_estimate import Landmarks, MatchOutcome, LandmarkMatches, SlamEstimate
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.runs.landmark_table import COLUMNS, NEW, landmark_rows, read_landmarks
 
@@ -13,9 +13,9 @@ from fvslam_graph.runs.landmark_table import COLUMNS, NEW, landmark_rows, read_l
 @pytest.fixture
 def estimate() -> SlamEstimate:
     """Landmark 3 was measured, 5 not found and dropped, 8 begins."""
-    searched = Searched(
+    searched = LandmarkMatches(
         ids=np.array([5, 3]),
-        outcome=np.array([Outcome.UNMATCHED, Outcome.INLIER]),
+        outcome=np.array([MatchOutcome.UNMATCHED, MatchOutcome.INLIER]),
         expected=np.array([[10.0, 20.0], [30.0, 40.0]]),
         ellipses=np.array([[[4.0, 1.0], [1.0, 9.0]], np.eye(2)]),
         pixels=np.array([[np.nan, np.nan], [31.0, 41.5]]),

@@ -10,7 +10,7 @@ import pytest
 from fvslam_graph.core.config import SlamSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame
-from fvslam_graph.core.slam_estimate import Outcome
+from fvslam_graph.core.slam_estimate import MatchOutcome
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.monte_carlo import frame_of, pose_errors, run_vslam
 from fvslam_graph.evaluation.nees import nees, nees_band
@@ -233,4 +233,4 @@ def test_rebasing_moves_the_pose_alone():
     assert a.searched.outcome.tolist() == b.searched.outcome.tolist()
     assert b.pose.mean.equals(place.mean.compose(b.prev_T_cur.mean), 1e-9)
     assert np.trace(b.pose.covariance) > np.trace(place.covariance)
-    assert Outcome.INLIER in b.searched.outcome and before.index == 11
+    assert MatchOutcome.INLIER in b.searched.outcome and before.index == 11

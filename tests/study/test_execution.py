@@ -11,14 +11,14 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study import execution
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.jobs import kept
-from fvslam_graph.study.results import COSTS, RESULTS, Outcome
+from fvslam_graph.study.results import COSTS, RESULTS, StudyResults
 
 SIM3 = Alignment.SIM3
 
 
 def table(rows):
     """What does not depend on the machine, bit for bit."""
-    outcome = Outcome.of([rows[number] for number in sorted(rows)], SIM3)
+    outcome = StudyResults.of([rows[number] for number in sorted(rows)], SIM3)
     return outcome.table[list(RESULTS)].to_csv(index=False)
 
 
@@ -87,7 +87,7 @@ def test_a_run_that_fails_is_a_row_with_its_reason(job, tmp_path, monkeypatch):
     assert rows[0]["status"] == f"failed: {tmp_path / 'absent'} does not exist"
     assert rows[1]["status"] == "failed: MemoryError"
     assert rows[2]["status"] == "finished"
-    outcome = Outcome.of([rows[number] for number in range(3)], SIM3)
+    outcome = StudyResults.of([rows[number] for number in range(3)], SIM3)
     assert len(outcome.finished) == 1 and len(outcome.failures().rows) == 2
 
 

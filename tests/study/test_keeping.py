@@ -142,7 +142,7 @@ def test_other_systems_are_looked_at_first(drive, tmp_path, monkeypatch, unplott
 def test_what_a_run_lacks_is_said(job, tmp_path, monkeypatch):
     from fvslam_graph.core.errors import EstimationError
     from fvslam_graph.graph.factor_graph import Graph
-    from fvslam_graph.study.results import Outcome
+    from fvslam_graph.study.results import StudyResults
 
     def fails(self):
         raise EstimationError("it is singular")
@@ -151,7 +151,7 @@ def test_what_a_run_lacks_is_said(job, tmp_path, monkeypatch):
     one = job("mode=graph", path=TINY)
     rows = dict(execute_all([one], tmp_path / "runs", workers=1))
     assert rows[0]["status"] == "finished" and rows[0]["ape"] > 0 and np.isnan(rows[0]["ape_smoothed"])
-    said = Outcome.of(rows.values(), "sim3").failures().rows
+    said = StudyResults.of(rows.values(), "sim3").failures().rows
     assert said[0][-1] == "finished, but the smoothed trajectory is not determined: it is singular"
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.results import EXTERNAL, Outcome
+from fvslam_graph.study.results import EXTERNAL, StudyResults
 from fvslam_graph.study.statistics import ALL, CONFIDENCE, differences, differences_table, interval, verdicts
 
 
@@ -19,7 +19,7 @@ def outcome(errors, sequences=("a",)):
         for mode, values in errors.items()
         for seed, error in enumerate(values)
     ]
-    return Outcome.of(rows, Alignment.SIM3)
+    return StudyResults.of(rows, Alignment.SIM3)
 
 
 def by_modes(found, metric="ape", sequence="a"):
@@ -51,7 +51,7 @@ def test_all_sequences_count_alike():
     for name in names:
         table = outcome({"vo": np.ones(5), "graph": np.exp(rng.normal(0, 0.3)) * np.ones(5)}, [name]).table
         rows += table.to_dict("records")
-    found = by_modes(differences(Outcome.of(rows, Alignment.SIM3)), sequence=ALL)["vo", "graph"]
+    found = by_modes(differences(StudyResults.of(rows, Alignment.SIM3)), sequence=ALL)["vo", "graph"]
     assert found.pairs == 8 and not found.significant  # though on each sequence the difference is certain
     assert found.low < found.ratio < found.high
 
@@ -68,7 +68,7 @@ def test_failed_runs_and_other_systems_have_no_pair():
     table = outcome({"vo": np.ones(6), "graph": 0.5 * np.ones(6), "DSO": [1.0]}).table
     table.loc[table["mode"] == "DSO", "preset"] = EXTERNAL
     table.loc[0, "status"] = "failed: lost"
-    found = differences(Outcome(table, Alignment.SIM3))
+    found = differences(StudyResults(table, Alignment.SIM3))
     assert {(d.a, d.b, d.pairs) for d in found} == {("vo", "graph", 5)}
 
 
@@ -77,7 +77,7 @@ def test_runs_with_other_settings_are_not_mixed():
     for preset, gain in (("tuned", 0.5), ("paper", 2.0)):
         table = outcome({"vo": np.ones(5), "graph": gain * np.ones(5)}).table
         rows += table.assign(preset=preset).to_dict("records")
-    found = differences(Outcome.of(rows, Alignment.SIM3))
+    found = differences(StudyResults.of(rows, Alignment.SIM3))
     assert {(d.sequence, round(d.ratio, 6)) for d in found if d.metric == "ape"} == {("a, tuned", 2), ("a, paper", 0.5)}
 
 

@@ -11,7 +11,7 @@ from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.vo.distortion import RadialDistortion, measure_distortion
-from fvslam_graph.vo.relative_pose import estimate_two_view
+from fvslam_graph.vo.relative_pose import estimate_relative_pose
 
 
 def bent(camera, pixels, k1, noise, rng):
@@ -30,7 +30,7 @@ def measured(camera, two_views, k1, noise, pairs, turn=0.05):
         tracks = Tracks.alike(
             tracks.ids, *(bent(camera, at, k1, noise, rng) for at in (tracks.reference, tracks.current))
         )
-        pose = estimate_two_view(tracks, camera, VoSettings(), seed=0)
+        pose = estimate_relative_pose(tracks, camera, VoSettings(), seed=0)
         distortion.add(tracks[pose.inliers], gtsam.Pose3(pose.rotation, pose.direction))
     return distortion.estimate()
 

@@ -11,7 +11,7 @@ from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground_plane import GroundAligner, GroundPlane
-from fvslam_graph.vo.relative_pose import TwoView
+from fvslam_graph.vo.relative_pose import RelativePose
 
 
 class View(NamedTuple):
@@ -24,9 +24,9 @@ class View(NamedTuple):
     height: float
 
     @property
-    def two_view(self) -> TwoView:
+    def two_view(self) -> RelativePose:
         baseline = self.motion.translation()
-        return TwoView(
+        return RelativePose(
             self.motion.rotation(),
             baseline / np.linalg.norm(baseline),
             1e-10 * np.eye(5),

@@ -8,7 +8,7 @@ import pytest
 
 from fvslam_graph.core.gaussian_pose import LogScale
 from fvslam_graph.vo.metric_pose import metric_pose
-from fvslam_graph.vo.relative_pose import TwoView
+from fvslam_graph.vo.relative_pose import RelativePose
 
 ROTATION = gtsam.Rot3.Expmap(np.array([0.3, -0.2, 0.5]))
 DIRECTION = gtsam.Unit3(np.array([0.3, -0.5, 0.8]))
@@ -17,7 +17,7 @@ SCALE = LogScale(math.log(2.5), 0.04)
 
 def test_covariance_by_finite_differences():
     mixing = 0.1 * np.random.default_rng(0).standard_normal((5, 5))
-    two_view = TwoView(ROTATION, DIRECTION.point3(), mixing @ mixing.T, np.ones(1, bool), 0.3, np.zeros((5, 2)))
+    two_view = RelativePose(ROTATION, DIRECTION.point3(), mixing @ mixing.T, np.ones(1, bool), 0.3, np.zeros((5, 2)))
     metric = metric_pose(two_view, SCALE)
     pose, covariance = metric.mean, metric.covariance
     assert pose.equals(gtsam.Pose3(ROTATION, 2.5 * DIRECTION.point3()), 1e-12)
@@ -36,7 +36,7 @@ def test_covariance_by_finite_differences():
 
 
 def test_an_unknown_scale_is_uncertain_along_the_baseline_alone():
-    two_view = TwoView(ROTATION, DIRECTION.point3(), np.zeros((5, 5)), np.ones(1, bool), 0.3, np.zeros((5, 2)))
+    two_view = RelativePose(ROTATION, DIRECTION.point3(), np.zeros((5, 5)), np.ones(1, bool), 0.3, np.zeros((5, 2)))
     covariance = metric_pose(two_view, LogScale(0.0, 1.0)).covariance
     along = np.concatenate([np.zeros(3), ROTATION.unrotate(DIRECTION.point3())])
     assert covariance == pytest.approx(np.outer(along, along), abs=1e-12)

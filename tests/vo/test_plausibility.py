@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.vo.plausibility import AGED, INSISTENCE, Plausibility
+from fvslam_graph.vo.plausibility import AGED, INSISTENCE, MotionGate
 
 ACCELERATIONS = np.repeat([0.5, 2.0], 3)  # rad/s^2, m/s^2
 SPEED = 10.0  # m/s, forward
@@ -21,19 +21,19 @@ def expected(stamp: float) -> GaussianPose:
     return GaussianPose(pose(SPEED * stamp).mean, np.diag((0.5 * ACCELERATIONS * stamp**2) ** 2) + 1e-6 * np.eye(6))
 
 
-def driven() -> Plausibility:
+def driven() -> MotionGate:
     """A judge that has seen one motion as expected, which made the frame at 0 s the reference."""
-    plausibility = Plausibility()
-    assert plausibility.judged(pose(SPEED * STEP), expected(STEP), 0.0, -STEP, ACCELERATIONS) is not None
+    plausibility = MotionGate()
+    assert plausibility.apply(pose(SPEED * STEP), expected(STEP), 0.0, -STEP, ACCELERATIONS) is not None
     plausibility.forget()
     return plausibility
 
 
-def judge(plausibility: Plausibility, positions: list[float]) -> list[GaussianPose | None]:
+def judge(plausibility: MotionGate, positions: list[float]) -> list[GaussianPose | None]:
     """What is made of the frames after the reference, each STEP later."""
     stamps = STEP * np.arange(1, len(positions) + 1)
     return [
-        plausibility.judged(pose(z), expected(stamp), float(stamp), 0.0, ACCELERATIONS)
+        plausibility.apply(pose(z), expected(stamp), float(stamp), 0.0, ACCELERATIONS)
         for z, stamp in zip(positions, stamps, strict=True)
     ]
 
@@ -69,15 +69,15 @@ def test_doubt_grows_until_forces_allow_for_either():
     end = SPEED / ACCELERATIONS[3] / AGED
     sigmas = []
     for stamp in (0.5, end, end + 1):  # standing is what is expected by now
-        verdict = plausibility.judged(pose(0.0), pose(0.0), stamp, 0.0, ACCELERATIONS)
+        verdict = plausibility.apply(pose(0.0), pose(0.0), stamp, 0.0, ACCELERATIONS)
         sigmas.append(np.sqrt(verdict.covariance[5, 5]))
     assert sigmas == pytest.approx([SPEED * 0.5 / 2, SPEED * end / 2, SPEED * end / 2], rel=0.01)
     # Against a reference within that time, it is what has come since, so that independent motions add up to the whole;
     halves = [
-        plausibility.judged(pose(0.0), pose(0.0), stamp, start, ACCELERATIONS).covariance[5, 5]
+        plausibility.apply(pose(0.0), pose(0.0), stamp, start, ACCELERATIONS).covariance[5, 5]
         for start, stamp in ((0.0, 0.8), (0.8, end))
     ]
     assert np.sqrt(sum(halves)) == pytest.approx(sigmas[-1], rel=0.01)
     # and against a later one, nothing.
-    later = plausibility.judged(pose(0.0), pose(0.0), end + 2, end + 1, ACCELERATIONS)
+    later = plausibility.apply(pose(0.0), pose(0.0), end + 2, end + 1, ACCELERATIONS)
     assert later.covariance == pytest.approx(pose(0.0).covariance)

@@ -12,7 +12,7 @@ from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
 from fvslam_graph.vo.epipolar import epipolar_distance, rays
-from fvslam_graph.vo.relative_pose import estimate_two_view
+from fvslam_graph.vo.relative_pose import estimate_relative_pose
 
 from .conftest import recalibrated
 
@@ -34,7 +34,7 @@ def error_of(estimate, motion: gtsam.Pose3) -> np.ndarray:
 @MOTIONS
 def test_exact_without_noise(camera, two_views, motion):
     scene = two_views(motion)
-    estimate = estimate_two_view(scene.tracks, camera, SETTINGS, seed=0)
+    estimate = estimate_relative_pose(scene.tracks, camera, SETTINGS, seed=0)
     assert estimate.inliers.all() and len(estimate.inliers) == len(scene.tracks) > 250
     assert np.abs(error_of(estimate, motion)).max() < 1e-9  # measured 1e-15
     assert estimate.direction == pytest.approx(motion.translation() / np.linalg.norm(motion.translation()), abs=1e-9)
@@ -84,7 +84,7 @@ def test_epipolar_jacobian_by_finite_differences(camera, two_views, motion):
 def nees_of(camera, two_views, motion, seeds: int, **options: float) -> np.ndarray:
     values = []
     for seed in range(seeds):
-        estimate = estimate_two_view(two_views(motion, seed=seed, **options).tracks, camera, SETTINGS, seed)
+        estimate = estimate_relative_pose(two_views(motion, seed=seed, **options).tracks, camera, SETTINGS, seed)
         error = error_of(estimate, motion)
         assert np.abs(estimate.covariance - estimate.covariance.T).max() == 0
         values.append(error @ np.linalg.solve(estimate.covariance, error))
@@ -115,7 +115,7 @@ def test_covariance_where_the_noise_is_that_of_the_loss(camera, two_views, motio
 
 def test_outliers_are_found(camera, two_views):
     scene = two_views(FORWARD, noise=0.1, outliers=0.2)
-    estimate = estimate_two_view(scene.tracks, camera, SETTINGS, seed=0)
+    estimate = estimate_relative_pose(scene.tracks, camera, SETTINGS, seed=0)
     assert 0.3 < scene.is_outlier.mean() < 0.4  # wrong in one image or the other
     assert estimate.inliers[~scene.is_outlier].mean() > 0.99
     assert estimate.inliers[scene.is_outlier].mean() < 0.06  # by chance on the epipolar line
@@ -127,12 +127,12 @@ def test_the_noise_is_told_by_the_inliers(camera, two_views, noise):
     scene = two_views(FORWARD)
     error = noise * np.random.default_rng(0).standard_normal(scene.tracks.current.shape)
     tracks = replace(scene.tracks, current=scene.tracks.current + error)
-    assert estimate_two_view(tracks, camera, SETTINGS, 0).noise == pytest.approx(noise, rel=0.1)
+    assert estimate_relative_pose(tracks, camera, SETTINGS, 0).noise == pytest.approx(noise, rel=0.1)
 
 
 def test_the_same_seed_gives_the_same_bits(camera, two_views):
     tracks = two_views(FORWARD, noise=0.3, outliers=0.2).tracks
-    first, again = (estimate_two_view(tracks, camera, SETTINGS, seed=7) for _ in range(2))
+    first, again = (estimate_relative_pose(tracks, camera, SETTINGS, seed=7) for _ in range(2))
     assert np.array_equal(first.direction, again.direction)
     assert np.array_equal(first.rotation.matrix(), again.rotation.matrix())
     assert np.array_equal(first.covariance, again.covariance)
@@ -146,7 +146,7 @@ def test_of_two_solutions_of_a_plane_the_map_chooses(camera, plane_scene, seed):
     sigma = 0.03 / scene.points[:, 2]
     known = InverseDepths.independent(scene.tracks.ids, 1 / scene.points[:, 2], sigma)
     for expected in ([far_off], [far_off, other], [other]):
-        estimate = estimate_two_view(scene.tracks, camera, SETTINGS, seed, expected, known)
+        estimate = estimate_relative_pose(scene.tracks, camera, SETTINGS, seed, expected, known)
         assert np.abs(error_of(estimate, motion)).max() < 0.06
         assert np.abs(error_of(estimate, other)).max() > 0.2
 
@@ -161,8 +161,8 @@ def test_an_edge_tells_nothing_along_itself(camera, two_views):
     slides = rng.random(count) < 0.5
     current = scene.tracks.current + np.where(slides, rng.uniform(5, 10, count), 0.0)[:, None] * along
     covariances = np.eye(2) + np.where(slides, 1e3, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
-    blind = estimate_two_view(replace(scene.tracks, current=current), camera, SETTINGS, 0)
-    told = estimate_two_view(replace(scene.tracks, current=current, covariances=covariances), camera, SETTINGS, 0)
+    blind = estimate_relative_pose(replace(scene.tracks, current=current), camera, SETTINGS, 0)
+    told = estimate_relative_pose(replace(scene.tracks, current=current, covariances=covariances), camera, SETTINGS, 0)
     assert np.abs(error_of(told, SIDEWAYS)).max() < 0.01
     assert told.inliers.mean() > 0.95
     assert blind is None or blind.inliers.mean() < 0.7
@@ -170,19 +170,19 @@ def test_an_edge_tells_nothing_along_itself(camera, two_views):
 
 def test_nothing_to_go_by(camera, two_views):
     tracks = two_views(FORWARD).tracks
-    assert estimate_two_view(Tracks.none(), camera, SETTINGS, 0) is None
-    assert estimate_two_view(tracks[np.arange(SETTINGS.min_inliers - 1)], camera, SETTINGS, 0) is None
-    assert estimate_two_view(tracks[np.zeros(50, int)], camera, SETTINGS, 0) is None
+    assert estimate_relative_pose(Tracks.none(), camera, SETTINGS, 0) is None
+    assert estimate_relative_pose(tracks[np.arange(SETTINGS.min_inliers - 1)], camera, SETTINGS, 0) is None
+    assert estimate_relative_pose(tracks[np.zeros(50, int)], camera, SETTINGS, 0) is None
     rng = np.random.default_rng(0)
     anywhere = Tracks.alike(np.arange(40), rng.uniform(0, 480, (40, 2)), rng.uniform(0, 480, (40, 2)))
-    assert estimate_two_view(anywhere, camera, SETTINGS, 0) is None
+    assert estimate_relative_pose(anywhere, camera, SETTINGS, 0) is None
 
 
 @pytest.mark.parametrize(("column", "change"), [(0, (1e-4, 0.0)), (1, (0.0, 1e-4))])
 def test_the_pose_changes_with_the_calibration_as_it_says(camera, two_views, column, change):
     tracks = two_views(FORWARD, noise=0.1).tracks
     other = Tracks.alike(tracks.ids, *(recalibrated(camera, at, *change) for at in (tracks.reference, tracks.current)))
-    before, after = (estimate_two_view(seen, camera, SETTINGS, 0) for seen in (tracks, other))
+    before, after = (estimate_relative_pose(seen, camera, SETTINGS, 0) for seen in (tracks, other))
     first, second = (gtsam.EssentialMatrix(view.rotation, gtsam.Unit3(view.direction)) for view in (before, after))
     moved = first.localCoordinates(second) / max(change)
     assert before.by_calibration[:, column] == pytest.approx(moved, rel=0.1, abs=0.02)  # measured within 0.001

@@ -13,7 +13,7 @@ from fvslam_graph.core.sequence import Frame
 from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground_plane import GroundPlane
-from fvslam_graph.vo.relative_pose import TwoView
+from fvslam_graph.vo.relative_pose import RelativePose
 from fvslam_graph.vo.scale import MIN_COMMON, ORACLE_VARIANCE, MetricScale
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.9, -0.3, 1.2]))
@@ -41,7 +41,7 @@ def world(camera, two_views):
     scene = two_views(MOTION)
     tracks, length = scene.tracks, np.linalg.norm(MOTION.translation())
     inliers, direction = np.ones(len(tracks), bool), MOTION.translation() / length
-    two_view = TwoView(MOTION.rotation(), direction, np.eye(5), inliers, 0.3, np.zeros((5, 2)))
+    two_view = RelativePose(MOTION.rotation(), direction, np.eye(5), inliers, 0.3, np.zeros((5, 2)))
     ray = rays(camera, tracks.reference)
     unit = triangulate(tracks.ids, ray, rays(camera, tracks.current), MOTION.rotation(), two_view.direction, camera.fx)
     depths = 1 / scene.points[:, 2]
