@@ -81,7 +81,7 @@ def estimate(sequence: Sequence, config: Config, front_end: FrontEnd | None = No
         # O_f: visual odometry, on every frame.
         odometry: VoEstimate | None = None
         if config.needs_odometry or not vslam.started:
-            odometry = vo.step(frame, vslam.tracks if config.tracks_apart else None)
+            odometry = vo.step(frame, vslam.tracks if config.tracks_excluded else None)
             previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
             fusion.add_odometry(frame, odometry.step)
 
@@ -101,7 +101,7 @@ def estimate(sequence: Sequence, config: Config, front_end: FrontEnd | None = No
             with stopwatch.stage("fusion"):
                 motion = fusion.fuse(slam.pose, slam.prev_T_cur, slam.views if found else None)
             if config.mode is not Mode.VSLAM:
-                vslam.rebase(fusion.reference)
+                vslam.reset_pose(fusion.reference)
 
             if (told := metres.step(frame, status)) is not None:
                 anew = _start(vslam, frame, told, fusion.pose, sequence, config)

@@ -182,7 +182,7 @@ class Config(_Group):
         return (self.slam.motion or ("constant_velocity" if self.mode is Mode.VSLAM else "odometry")) == "odometry"
 
     @property
-    def tracks_apart(self) -> bool:
+    def tracks_excluded(self) -> bool:
         """Whether odometry does without tracks that are landmarks."""
         return self.mode is Mode.GRAPH and self.graph.shared_pixels == "exclude"
 

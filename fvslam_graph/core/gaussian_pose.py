@@ -71,13 +71,13 @@ class ScaledPose:
     Attributes:
         pose: a_T_b, as if the motions were independent.
         common: (6, 6) what its covariance is more, or less, as they are not.
-        by_scale: (6,) covariance of its error and that of the logarithm of the last motion's scale,
+        scale_covariance: (6,) covariance of its error and that of the logarithm of the last motion's scale,
         variance: and the variance of this.
     """
 
     pose: GaussianPose
     common: NDArray[np.float64]
-    by_scale: NDArray[np.float64]
+    scale_covariance: NDArray[np.float64]
     variance: float
 
     @classmethod
@@ -86,7 +86,7 @@ class ScaledPose:
         return cls(pose, np.zeros((6, 6)), variance * pose.travel, variance)
 
     @property
-    def whole(self) -> GaussianPose:
+    def total(self) -> GaussianPose:
         """a_T_b with all its uncertainty."""
         return GaussianPose(self.pose.mean, self.pose.covariance + self.common)
 
@@ -94,7 +94,7 @@ class ScaledPose:
         """Another estimate of the same motion, with as much of the scale's error as its covariance has room for."""
         if not self.variance > 0:
             return ScaledPose.of(pose)
-        direction = self.by_scale / self.variance
+        direction = self.scale_covariance / self.variance
         known = float(direction @ np.linalg.pinv(pose.covariance, hermitian=True) @ direction)
         variance = min(self.variance, 1 / known) if known > 0 else 0.0
         return ScaledPose(pose, np.zeros((6, 6)), variance * direction, variance)
@@ -106,10 +106,12 @@ class ScaledPose:
         its errors have in common is the variance of the one that is known better.
         """
         adjoint = step.pose.mean.inverse().AdjointMap()
-        carried = adjoint @ self.by_scale * (min(1.0, step.variance / self.variance) if self.variance > 0 else 0.0)
-        both = np.outer(carried, step.by_scale / step.variance) if step.variance > 0 else np.zeros((6, 6))
+        transported = (
+            adjoint @ self.scale_covariance * (min(1.0, step.variance / self.variance) if self.variance > 0 else 0.0)
+        )
+        both = np.outer(transported, step.scale_covariance / step.variance) if step.variance > 0 else np.zeros((6, 6))
         common = adjoint @ self.common @ adjoint.T + step.common + both + both.T
-        return ScaledPose(self.pose.compose(step.pose), common, carried + step.by_scale, step.variance)
+        return ScaledPose(self.pose.compose(step.pose), common, transported + step.scale_covariance, step.variance)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ class KnownPoints:
         pixels: (N, 2).
         inverse_depths: (N,) 1/metres.
         sigmas: (N,) their standard deviations, each on its own.
-        shared: (N, S) what each of S errors of deviation 1, which all share, adds to the inverse depths.
+        common: (N, S) what each of S errors of deviation 1, which all share, adds to the inverse depths.
         log_variance: Variance of the logarithm of the scale that all depths share.
     """
 
@@ -25,7 +25,7 @@ class KnownPoints:
     pixels: NDArray[np.float64]
     inverse_depths: NDArray[np.float64]
     sigmas: NDArray[np.float64]
-    shared: NDArray[np.float64]
+    common: NDArray[np.float64]
     log_variance: float
 
     def __len__(self) -> int:
@@ -37,6 +37,6 @@ class KnownPoints:
             self.pixels[chosen],
             self.inverse_depths[chosen],
             self.sigmas[chosen],
-            self.shared[chosen],
+            self.common[chosen],
             self.log_variance,
         )

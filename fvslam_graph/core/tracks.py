@@ -1,4 +1,4 @@
-"""Which point of a reference image is which point of the current one."""
+"""Which point of a keyframe is which point of the current one."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from fvslam_graph.core.camera import Image
 
 @dataclass(frozen=True)
 class Tracks:
-    """N points seen in a reference image and in the current one.
+    """N points seen in a keyframe and in the current one.
 
     Attributes:
         ids: (N,) int64, the same number for the same point as long as it is followed.
-        reference: (N, 2) pixels in the reference image.
+        keyframe: (N, 2) pixels in the keyframe.
         current: (N, 2) pixels in the current image.
         covariances: (N, 2, 2) of the displacements, in variances of one on a corner, along either axis.
     """
 
     ids: NDArray[np.int64]
-    reference: NDArray[np.float64]
+    keyframe: NDArray[np.float64]
     current: NDArray[np.float64]
     covariances: NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class Tracks:
         return len(self.ids)
 
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Tracks:
-        return Tracks(self.ids[chosen], self.reference[chosen], self.current[chosen], self.covariances[chosen])
+        return Tracks(self.ids[chosen], self.keyframe[chosen], self.current[chosen], self.covariances[chosen])
 
     @classmethod
     def none(cls) -> Tracks:
@@ -39,9 +39,9 @@ class Tracks:
         return cls.alike(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
 
     @classmethod
-    def alike(cls, ids: NDArray[np.int64], reference: NDArray[np.float64], current: NDArray[np.float64]) -> Tracks:
+    def alike(cls, ids: NDArray[np.int64], keyframe: NDArray[np.float64], current: NDArray[np.float64]) -> Tracks:
         """Tracks of corners that err alike."""
-        return cls(ids, reference, current, np.tile(np.eye(2), (len(ids), 1, 1)))
+        return cls(ids, keyframe, current, np.tile(np.eye(2), (len(ids), 1, 1)))
 
 
 def variances_along(axes: NDArray[np.float64], covariances: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -54,10 +54,10 @@ def variances_along(axes: NDArray[np.float64], covariances: NDArray[np.float64])
 
 
 class FeatureTracker(Protocol):
-    """Finds the points of a reference image again in later images."""
+    """Finds the points of a keyframe again in later images."""
 
     def track(self, image: Image) -> Tracks:
-        """The points of the reference that are found in `image`, (H, W) uint8."""
+        """The points of the keyframe that are found in `image`, (H, W) uint8."""
 
-    def rebase(self, image: Image, kept: Tracks) -> Tracks:
-        """Make `image` the reference: its points, the kept tracks and new corners, are returned."""
+    def set_keyframe(self, image: Image, kept: Tracks) -> Tracks:
+        """Make `image` the keyframe: its points, the kept tracks and new corners, are returned."""

@@ -21,17 +21,17 @@ class ScaleStep:
 
     Attributes:
         length: What odometry makes of it all: log(metres) of the baseline.
-        carried: What the map says, in the scale that the last baseline had; the variance is what the step adds.
+        predicted: What the map says, in the scale that the last baseline had; the variance is what the step adds.
         measured: What the scale source says, with the variance of what is new in it; None where it does not speak.
-        shared: Variance of what the source errs likewise in neighbouring steps,
-        lasting: and the share of this error that lasts to the next step.
+        bias_variance: Variance of what the source errs likewise in neighbouring steps,
+        bias_decay: and the share of this error that lasts to the next step.
     """
 
     length: LogScale
-    carried: LogScale
+    predicted: LogScale
     measured: LogScale | None = None
-    shared: float = 0.0
-    lasting: float = 0.0
+    bias_variance: float = 0.0
+    bias_decay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,15 +63,15 @@ class VoEstimate:
 
     Attributes:
         index: Of the frame.
-        previous: Index of the frame that the motion starts from: the reference (keyframe) at that time.
+        previous: Index of the frame that the motion starts from: the keyframe at that time.
         prev_T_cur: Pose of this frame in that one.
         status: How it came about.
-        found: How many points of the reference were found in this frame.
+        found: How many points of the keyframe were found in this frame.
         tracks: Those that agree with the motion.
         scale: Of the baseline between the two, and where it comes from; None where none was estimated.
         map: What is known of the depths of these tracks in this frame.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
-        awaited: Indices of references that were lost: a motion to come may start from one that is found again.
+        awaited: Indices of keyframes that were lost: a motion to come may start from one that is found again.
         by_calibration: (6, 2) how the motion changes with the logarithm of the focal length and with k1.
         times: Milliseconds by stage.
     """
@@ -107,12 +107,12 @@ class VoEstimate:
     def points(self) -> KnownPoints:
         """The tracks of known depth, where they are in this frame."""
         depths = self.map.depths
-        mine, theirs = depths.common(self.tracks.ids)
+        mine, theirs = depths.match(self.tracks.ids)
         return KnownPoints(
             depths.ids[mine],
             self.tracks.current[theirs],
             depths.values[mine],
             depths.sigmas[mine],
-            depths.shared[mine],
+            depths.common[mine],
             self.map.variance,
         )

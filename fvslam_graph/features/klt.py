@@ -17,15 +17,15 @@ _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
 
 
 class KltTracker:
-    """Aligns each point's patch in the reference image with the current image (Bouguet 2000), checked backwards.
+    """Aligns each point's patch in the keyframe with the current image (Bouguet 2000), checked backwards.
 
-    Every image is aligned with the reference itself, never with the image before, so that errors do not add up while
-    one image stays the reference.
+    Every image is aligned with the keyframe itself, never with the image before, so that errors do not add up while
+    one image stays the keyframe.
     """
 
     def __init__(self, settings: FeatureSettings) -> None:
         self.settings = settings
-        self._image: Image | None = None  # the reference, in the exposure of the last image
+        self._image: Image | None = None  # the keyframe, in the exposure of the last image
         self._last: Image | None = None  # image,
         self._reduced = np.empty((0, 0))  # and that at a sixteenth of its size
         self._next_id = 0
@@ -35,23 +35,23 @@ class KltTracker:
         self._guess = self._points  # where they were seen last
 
     def track(self, image: Image) -> Tracks:
-        """The points of the reference that are found in `image`, forwards and back within `klt_backward` pixels."""
+        """The points of the keyframe that are found in `image`, forwards and back within `klt_backward` pixels."""
         if self._image is None or not len(self._points):
             return Tracks.none()
         found, good = self._follow(self._image, image)
         before, self._last, self._reduced = self._reduced, image, reduced(image)
         if change := exposure_change(before, self._reduced):
             # It may be the scene that has changed: what finds more points is right.
-            reference = exposed(self._image, *change)
-            others = self._follow(reference, image)
+            keyframe = exposed(self._image, *change)
+            others = self._follow(keyframe, image)
             if others[1].sum() > good.sum():
-                self._image, (found, good) = reference, others
+                self._image, (found, good) = keyframe, others
         self._guess = np.where(good[:, None], found, self._guess)
         current = found[good].astype(float)
         return Tracks(self._ids[good], self._points[good].astype(float), current, self._covariances[good])
 
-    def rebase(self, image: Image, kept: Tracks) -> Tracks:
-        """Make `image` the reference: its points, the kept tracks and new corners, are returned."""
+    def set_keyframe(self, image: Image, kept: Tracks) -> Tracks:
+        """Make `image` the keyframe: its points, the kept tracks and new corners, are returned."""
         texture = Texture.of(image, self.settings.octave)
         corners = detect(texture, self.settings, kept.current)
         if image is not self._last:
@@ -65,11 +65,11 @@ class KltTracker:
         self._covariances = texture.displacement_covariances(points)
         return Tracks(self._ids, points, points, self._covariances)
 
-    def _follow(self, reference: Image, image: Image) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _follow(self, keyframe: Image, image: Image) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Pixels (N, 2) where the points are in the image, and (N,) whether the way back leads to where they were."""
-        found, forward = self._align(reference, image, self._points, self._guess, self.settings.klt_levels)
+        found, forward = self._align(keyframe, image, self._points, self._guess, self.settings.klt_levels)
         # The way back starts at the answer, so that the full image suffices.
-        returned, backward = self._align(image, reference, found, self._points, 0)
+        returned, backward = self._align(image, keyframe, found, self._points, 0)
         height, width = image.shape
         inside = np.all((found > BORDER) & (found < (width - BORDER - 1, height - BORDER - 1)), axis=1)
         error = np.linalg.norm(returned - self._points, axis=1)

@@ -32,7 +32,7 @@ class NccMatcher:
         self._patches = np.empty((0, PATCH * PATCH), np.float32)
 
     def track(self, image: Image) -> Tracks:
-        """The corners of the reference that are matched with corners of `image`."""
+        """The corners of the keyframe that are matched with corners of `image`."""
         corners = np.rint(detect(Texture.of(image, self.settings.octave), self.settings)).astype(np.intp)
         if not len(self._points) or not len(corners):
             return Tracks.none()
@@ -48,8 +48,8 @@ class NccMatcher:
         found = _peak(image, corners[best[good]], self._patches[good]) + beside
         return Tracks.alike(self._ids[good], self._points[good], found)
 
-    def rebase(self, image: Image, kept: Tracks) -> Tracks:
-        """Make `image` the reference: its points, the kept tracks and new corners, are returned."""
+    def set_keyframe(self, image: Image, kept: Tracks) -> Tracks:
+        """Make `image` the keyframe: its points, the kept tracks and new corners, are returned."""
         corners = detect(Texture.of(image, self.settings.octave), self.settings, kept.current)
         self._points = np.vstack([kept.current, corners])
         self._ids = np.concatenate([kept.ids, self._next_id + np.arange(len(corners))])

@@ -29,7 +29,7 @@ class Fusion(ABC):
     @property
     def reference(self) -> GaussianPose:
         """world_T_camera at the last frame where both were fused."""
-        return self._reference.whole
+        return self._reference.total
 
     @property
     def motion(self) -> GaussianPose:
@@ -39,7 +39,7 @@ class Fusion(ABC):
     @property
     def pose(self) -> GaussianPose:
         """world_T_camera of the newest frame: P_f, carried on by odometry."""
-        return self._reference.compose(self._chain.motion).whole
+        return self._reference.compose(self._chain.motion).total
 
     def add_odometry(self, frame: Frame, step: OdometryStep) -> None:
         """Append the motion of a frame, O_f."""
@@ -92,6 +92,6 @@ class RuleFusion(Fusion):
 
     def _fused(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
         odometry = self._chain.motion
-        step = odometry if views is None else odometry.replaced(self._rule(odometry.whole, motion))
+        step = odometry if views is None else odometry.replaced(self._rule(odometry.total, motion))
         self._reference = self._reference.compose(step)
-        return step.whole
+        return step.total

@@ -44,11 +44,11 @@ class OdometryChain:
         Args:
             moved: Where it is in the old one, if something knows that better than these motions.
         """
-        back = (moved or self.motion.whole).inverse()
+        back = (moved or self.motion.total).inverse()
         before = self._step.prev_T_cur.inverse()
         if self._step.measured:
             before = GaussianPose(before.mean, np.zeros((6, 6)))
-        self._since = {frame: ScaledPose.of(back.compose(pose.whole)) for frame, pose in self._since.items()}
+        self._since = {frame: ScaledPose.of(back.compose(pose.total)) for frame, pose in self._since.items()}
         self._since |= {
             self._step.previous: ScaledPose.of(before),
             self._newest: ScaledPose.of(GaussianPose.identity()),

@@ -222,13 +222,13 @@ class Graph:
         while step.previous in self._moves:
             step = self._moves[step.previous]
             motion = ScaledPose.of(step.prev_T_cur, step.scale_variance).compose(motion)
-        expected = GaussianPose(self._poses[index], motion.whole.covariance)
+        expected = GaussianPose(self._poses[index], motion.total.covariance)
         _, before, now = np.intersect1d(self._views.ids, views.ids, return_indices=True)
         points = self._poses[self._fused].transformFrom(self._views.points[before].T).T
         deviation, sigma = self._landmark_factors.deviation, self._noise.sigma
         seen = contradiction(expected, points, views.pixels[now], self._camera, deviation(sigma, 1), index)
-        shared = (deviation(sigma, len(views.ids)) / deviation(sigma, 1)) ** 2  # no number of them averages it out
-        return None if seen is None else GaussianPose(seen.mean, shared * seen.covariance)
+        inflation = (deviation(sigma, len(views.ids)) / deviation(sigma, 1)) ** 2  # no number of them averages it out
+        return None if seen is None else GaussianPose(seen.mean, inflation * seen.covariance)
 
     def _move(self, index: int, step: OdometryStep) -> None:
         """The factors of a motion of odometry."""

@@ -87,20 +87,20 @@ class ScaleChain:
         if step is None:
             self._begin(scale_key(index), LogScale(0.0, variance))
             return [scale_key(index)]
-        carried = LogScale(step.carried.mean - step.length.mean, step.carried.variance)
-        if before is None or (self._relative and carried.variance >= UNINFORMATIVE_VARIANCE):
-            self._begin(scale_key(index), carried)
+        predicted = LogScale(step.predicted.mean - step.length.mean, step.predicted.variance)
+        if before is None or (self._relative and predicted.variance >= UNINFORMATIVE_VARIANCE):
+            self._begin(scale_key(index), predicted)
         else:
-            self._link(scale_key(before), scale_key(index), carried)
-        if step.shared > 0:
+            self._link(scale_key(before), scale_key(index), predicted)
+        if step.bias_variance > 0:
             self._insert(bias_key(index), 0.0)
             if before is None or not self._has(bias_key(before)):
-                self._hold(bias_key(index), LogScale(0.0, step.shared))
+                self._hold(bias_key(index), LogScale(0.0, step.bias_variance))
             else:
                 self._decay(bias_key(before), bias_key(index), step)
         if step.measured is not None:
             measured = LogScale(step.measured.mean - step.length.mean, step.measured.variance)
-            if step.shared > 0:
+            if step.bias_variance > 0:
                 self._link(bias_key(index), scale_key(index), measured)
             else:
                 self._hold(scale_key(index), measured)
@@ -158,8 +158,8 @@ class ScaleChain:
         self._add(gtsam.BetweenFactorDouble(first, second, difference.mean, _sigma(difference.variance)))
 
     def _decay(self, first: int, second: int, step: ScaleStep) -> None:
-        noise = _sigma((1 - step.lasting**2) * step.shared)
-        decay = gtsam.JacobianFactor(first, np.array([[-step.lasting]]), second, np.eye(1), np.zeros(1), noise)
+        noise = _sigma((1 - step.bias_decay**2) * step.bias_variance)
+        decay = gtsam.JacobianFactor(first, np.array([[-step.bias_decay]]), second, np.eye(1), np.zeros(1), noise)
         values = gtsam.Values()
         values.insert(first, 0.0)
         values.insert(second, 0.0)

@@ -12,7 +12,7 @@ from fvslam_graph.simulation.points import PointScene, frame_number
 class SceneTracker:
     """Follows the points of a scene as a tracker does; images only tell their number.
 
-    A tracker aligns a point's patch in the reference image with the current one. It errs about the displacement, by the
+    A tracker aligns a point's patch in the keyframe with the current one. It errs about the displacement, by the
     scene's noise, and goes on from where it found the point: a track drifts, and errors of consecutive pairs of images
     are independent. What it follows then is what is there, at the depth of the point.
 
@@ -28,15 +28,15 @@ class SceneTracker:
         self.count = count
         self.wrong = wrong
         self._rng = np.random.default_rng([seed, 3])
-        self._reference = 0  # frame
+        self._keyframe = 0  # frame
         self._ids = np.empty(0, np.int64)
         self._points = np.empty((0, 2))
 
     def track(self, image: Image) -> Tracks:
-        """The points of the reference that are in view."""
+        """The points of the keyframe that are in view."""
         number = frame_number(image)
         mine = np.flatnonzero(np.isin(self._ids, self.scene.observe(number).ids))
-        followed = self.scene.beside(self._reference, self._ids[mine], self._points[mine])
+        followed = self.scene.beside(self._keyframe, self._ids[mine], self._points[mine])
         exact = self.scene.exact(number, followed)
         found = exact + self.scene.noise * self._rng.standard_normal(exact.shape)
         is_wrong = self._rng.random(len(mine)) < self.wrong
@@ -44,10 +44,10 @@ class SceneTracker:
         anywhere = self._rng.uniform(0, (camera.width - 1, camera.height - 1), (len(mine), 2))
         return Tracks.alike(self._ids[mine], self._points[mine], np.where(is_wrong[:, None], anywhere, found))
 
-    def rebase(self, image: Image, kept: Tracks) -> Tracks:
-        """Make `image` the reference: the kept tracks, and others in view up to the number wanted."""
-        self._reference = frame_number(image)
-        seen = self.scene.observe(self._reference)
+    def set_keyframe(self, image: Image, kept: Tracks) -> Tracks:
+        """Make `image` the keyframe: the kept tracks, and others in view up to the number wanted."""
+        self._keyframe = frame_number(image)
+        seen = self.scene.observe(self._keyframe)
         new = np.flatnonzero(~np.isin(seen.ids, kept.ids))
         new = self._rng.permutation(new)[: max(self.count - len(kept), 0)]
         self._ids = np.concatenate([kept.ids, seen.ids[new]])

@@ -35,8 +35,8 @@ def known_depths(points: KnownPoints, camera: Camera, size: int) -> DepthPrior:
     """From points of known depth, which share a scale and the errors of a motion; `size` is n."""
     stretch = np.linalg.norm(np.column_stack([camera.normalize(points.pixels), np.ones(len(points))]), axis=1)
     inverse = points.inverse_depths / stretch  # distances are longer than depths
-    shared = np.column_stack([points.shared / stretch[:, None], np.sqrt(points.log_variance) * inverse])
-    covariance = np.diag((points.sigmas / stretch) ** 2) + shared @ shared.T
+    common = np.column_stack([points.common / stretch[:, None], np.sqrt(points.log_variance) * inverse])
+    covariance = np.diag((points.sigmas / stretch) ** 2) + common @ common.T
     by_state = np.zeros((len(points), size))
     by_state[:, SCALE] = inverse  # depths are metric, and the map is uncertain of its scale
     return DepthPrior(inverse, covariance, by_state)

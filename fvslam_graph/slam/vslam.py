@@ -215,7 +215,7 @@ class VSlam:
         measured = int(sighting.searched.measured.sum())
         return sighting if not sighting.lost and measured >= MIN_SHARE * len(sighting.searched) else None
 
-    def rebase(self, pose: GaussianPose) -> None:
+    def reset_pose(self, pose: GaussianPose) -> None:
         """Go on from another pose world_T_camera; the map in the camera stays as it is."""
         assert self._state is not None, "start comes first"
         self._state = reanchored(self._state, pose)

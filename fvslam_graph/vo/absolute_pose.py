@@ -23,11 +23,13 @@ NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
 Array = NDArray[np.float64]
 
 
-def locate(points: Array, pixels: Array, camera: Camera, settings: VoSettings, seed: int) -> gtsam.Pose3 | None:
-    """ref_T_cur by three-point RANSAC with local optimisation (PoseLib); None without a solution.
+def estimate_absolute_pose(
+    points: Array, pixels: Array, camera: Camera, settings: VoSettings, seed: int
+) -> gtsam.Pose3 | None:
+    """keyframe_T_cur by three-point RANSAC with local optimisation (PoseLib); None without a solution.
 
     Args:
-        points: (N, 3) in the reference camera, metres.
+        points: (N, 3) in the keyframe, metres.
         pixels: (N, 2) where the current camera sees them.
         camera: Undistorted.
         settings: Thresholds.
@@ -54,7 +56,7 @@ class AbsolutePose:
     """A camera among points of known depth.
 
     Attributes:
-        pose: ref_T_cur and its covariance.
+        pose: keyframe_T_cur and its covariance.
         agree: (N,) which tracks agree.
         noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
         by_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
@@ -77,8 +79,8 @@ class AbsolutePose:
         return covariance
 
 
-def refine(
-    ref_T_cur: gtsam.Pose3, rays: Array, tracks: Tracks, depths: InverseDepths, camera: Camera
+def refine_absolute_pose(
+    keyframe_T_cur: gtsam.Pose3, rays: Array, tracks: Tracks, depths: InverseDepths, camera: Camera
 ) -> AbsolutePose | None:
     """The pose near another by all tracks, each counting for what its depth tells, however little that is.
 
@@ -86,7 +88,7 @@ def refine(
     be alike within a neighbourhood, and from what depths err together.
 
     Args:
-        ref_T_cur: To begin with, metres.
+        keyframe_T_cur: To begin with, metres.
         rays, tracks, depths, camera: As in `reprojection_errors`.
 
     Returns:
@@ -94,23 +96,23 @@ def refine(
     """
     noise = START_NOISE
     for width in WIDTHS:
-        errors = reprojection_errors(ref_T_cur, rays, tracks, depths, camera, width * noise)
+        errors = reprojection_errors(keyframe_T_cur, rays, tracks, depths, camera, width * noise)
         weight = errors.agree / (1 + errors.squares / KERNEL**2)
         jacobian = errors.by_pose.reshape(-1, 6)
         weighted = np.repeat(weight, 2)[:, None] * jacobian
         information = weighted.T @ jacobian
         if not np.linalg.cond(information) < 1e14:
             return None
-        ref_T_cur = ref_T_cur.retract(-np.linalg.solve(information, weighted.T @ errors.values.ravel()))
+        keyframe_T_cur = keyframe_T_cur.retract(-np.linalg.solve(information, weighted.T @ errors.values.ravel()))
         noise = float(np.clip(width * noise * errors.spread, *NOISE))
-    errors = reprojection_errors(ref_T_cur, rays, tracks, depths, camera, noise)
+    errors = reprojection_errors(keyframe_T_cur, rays, tracks, depths, camera, noise)
     agree = errors.agree
     covariance = m_estimator_covariance(
         errors.values[agree],
         errors.by_pose[agree],
         KERNEL,
-        neighbourhoods(tracks.reference[agree], camera),
-        errors.by_shared[agree],
+        neighbourhoods(tracks.keyframe[agree], camera),
+        errors.J_common[agree],
     )
     if covariance is None:
         return None
@@ -118,4 +120,4 @@ def refine(
     weighted = jacobian / np.repeat(1 + errors.squares[agree] / KERNEL**2, 2)[:, None]
     pull = weighted.T @ errors.by_calibration[agree].reshape(-1, 2)
     by_calibration: Array = -np.linalg.inv(weighted.T @ jacobian) @ pull
-    return AbsolutePose(GaussianPose(ref_T_cur, covariance), agree, noise, by_calibration)
+    return AbsolutePose(GaussianPose(keyframe_T_cur, covariance), agree, noise, by_calibration)

@@ -1,4 +1,4 @@
-"""Inverse depths of tracks: triangulated from two views, and carried from one reference image to the next."""
+"""Inverse depths of tracks: triangulated from two views, and carried from one keyframe to the next."""
 
 from __future__ import annotations
 

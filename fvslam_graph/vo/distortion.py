@@ -35,17 +35,20 @@ class RadialDistortion:
         self._camera = camera
         self._pairs: list[tuple[float, float]] = []  # curvature of the Cauchy loss along k1, and its fall
 
-    def add(self, tracks: Tracks, ref_T_cur: gtsam.Pose3) -> None:
+    def add(self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3) -> None:
         """Take in a pair of images.
 
         Args:
             tracks: N points in both.
-            ref_T_cur: The motion that explains them best without distortion; its length does not matter.
+            keyframe_T_cur: The motion that explains them best without distortion; its length does not matter.
         """
-        reference, current = rays(self._camera, tracks.reference), rays(self._camera, tracks.current)
-        rotation, direction = ref_T_cur.rotation(), ref_T_cur.translation() / np.linalg.norm(ref_T_cur.translation())
-        distance, by_motion = epipolar_distance(reference, current, rotation, direction, self._camera.fx)
-        by_k1 = calibration_jacobian(reference, current, rotation, direction, self._camera.fx)[:, 1]
+        keyframe, current = rays(self._camera, tracks.keyframe), rays(self._camera, tracks.current)
+        rotation, direction = (
+            keyframe_T_cur.rotation(),
+            keyframe_T_cur.translation() / np.linalg.norm(keyframe_T_cur.translation()),
+        )
+        distance, by_motion = epipolar_distance(keyframe, current, rotation, direction, self._camera.fx)
+        by_k1 = calibration_jacobian(keyframe, current, rotation, direction, self._camera.fx)[:, 1]
         square = (distance / LOSS_SCALE) ** 2
         curvature = (1 - square) / (1 + square) ** 2
         weighted = curvature[:, None] * by_motion

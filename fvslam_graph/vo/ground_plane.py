@@ -70,7 +70,7 @@ class GroundAligner:
         self,
         previous: Image,
         current: Image,
-        two_view: RelativePose,
+        relative_pose: RelativePose,
         ray: NDArray[np.float64],
         depths: InverseDepths,
         expected: float | None,
@@ -80,7 +80,7 @@ class GroundAligner:
 
         Args:
             previous, current: (H, W) uint8.
-            two_view: Their relative pose.
+            relative_pose: Their relative pose.
             ray: (N, 3) of tracks in the previous image; where nothing is expected, they give the first guess.
             depths: (N,) of these tracks, in baselines.
             expected: Baseline per height, dimensionless; only steers the search. Where it leads to no ground, tracks
@@ -89,30 +89,30 @@ class GroundAligner:
             rng: For the hypotheses.
         """
         likely = None if expected is None else expected * self.normal
-        if likely is not None and (ground := self._measure_near(previous, current, two_view, likely, rng)):
+        if likely is not None and (ground := self._measure_near(previous, current, relative_pose, likely, rng)):
             return ground
         seen = self._sees_ground(ray)
         if seen.sum() >= MIN_TRACKS:
             guess = self._hypothesise(ray[seen], depths[seen], rng)
-            if ground := self._measure_near(previous, current, two_view, guess, rng):
+            if ground := self._measure_near(previous, current, relative_pose, guess, rng):
                 return ground
         ratios = _RATIOS
         if expected is not None:
             self._next = (self._next + STRIDE) % len(_RATIOS)
             ratios = _RATIOS[[self._next]]
-        tried = [self._measure_near(previous, current, two_view, ratio * self.normal, rng) for ratio in ratios]
+        tried = [self._measure_near(previous, current, relative_pose, ratio * self.normal, rng) for ratio in ratios]
         return max(filter(None, tried), key=lambda ground: ground.patches, default=None)
 
     def _measure_near(
         self,
         previous: Image,
         current: Image,
-        two_view: RelativePose,
+        relative_pose: RelativePose,
         plane: NDArray[np.float64],
         rng: np.random.Generator,
     ) -> GroundPlane | None:
         """The ground, if it is near enough to `plane` for its patches to be found."""
-        patches = self._align(previous, current, two_view, plane)
+        patches = self._align(previous, current, relative_pose, plane)
         return None if patches is None else self._refine(*patches, self._hypothesise(*patches, rng))
 
     def _sees_ground(self, ray: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -140,7 +140,7 @@ class GroundAligner:
         self,
         previous: Image,
         current: Image,
-        two_view: RelativePose,
+        relative_pose: RelativePose,
         plane: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], InverseDepths] | None:
         """Rays (N, 3) of ground patches and their inverse depths, found near where `plane` predicts them.
@@ -151,7 +151,7 @@ class GroundAligner:
         if len(self._grid) < self.settings.min_patches:
             return None
         camera, K = self.camera, self.camera.K
-        rotation, direction = two_view.rotation, two_view.direction
+        rotation, direction = relative_pose.rotation, relative_pose.direction
         top = max(0, int(self._grid[:, 1].min()) - 2 * _WINDOW[1])
         offset = np.array([0.0, top])
         homography = K @ rotation.matrix().T @ (np.eye(3) - np.outer(direction, plane)) @ np.linalg.inv(K)
@@ -173,7 +173,7 @@ class GroundAligner:
             return None
         ids = np.flatnonzero(good)[kept].astype(np.int64)
         depths = triangulate(
-            ids, ray[kept], ray_current[kept], rotation, direction, camera.fx, covariance=two_view.covariance
+            ids, ray[kept], ray_current[kept], rotation, direction, camera.fx, covariance=relative_pose.covariance
         )
         return ray[kept], depths
 
@@ -210,8 +210,8 @@ class GroundAligner:
         patches = int((weight > 0.25).sum())
         along = plane / np.linalg.norm(plane)
         # Of what the patches err on their own, and of what the motion makes them err together.
-        shared = np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.shared)
-        variance = float(along @ np.linalg.solve(normal_matrix, along)) + float(((along @ shared) ** 2).sum())
+        common = np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.common)
+        variance = float(along @ np.linalg.solve(normal_matrix, along)) + float(((along @ common) ** 2).sum())
         log_variance = variance / float(plane @ plane)
         if patches < self.settings.min_patches or plane @ self.normal <= 0:
             return None

@@ -1,4 +1,4 @@
-"""References that were lost not long ago: the camera may see them again."""
+"""Keyframes that were lost not long ago: the camera may see them again."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from fvslam_graph.core.inverse_depths import MetricMap
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.tracks import FeatureTracker
 
-MEMORY = 3.0  # seconds for which a lost reference is looked for,
+MEMORY = 3.0  # seconds for which a lost keyframe is looked for,
 REMEMBERED = 2  # and so many of them
 
 
 @dataclass(frozen=True)
 class LostKeyframe:
-    """A reference with all that it takes to go on from it.
+    """A keyframe with all that it takes to go on from it.
 
     Attributes:
         frame: Its image.
@@ -34,19 +34,19 @@ class LostKeyframes:
     """The last few, for some seconds."""
 
     def __init__(self) -> None:
-        self._references: deque[LostKeyframe] = deque(maxlen=REMEMBERED)
+        self._keyframes: deque[LostKeyframe] = deque(maxlen=REMEMBERED)
 
     @property
     def indices(self) -> tuple[int, ...]:
         """Indices of their frames."""
-        return tuple(reference.frame.index for reference in self._references)
+        return tuple(keyframe.frame.index for keyframe in self._keyframes)
 
-    def add(self, reference: LostKeyframe) -> None:
+    def add(self, keyframe: LostKeyframe) -> None:
         """Remember one more."""
-        self._references.append(reference)
+        self._keyframes.append(keyframe)
 
     def remembered(self, stamp: float) -> list[LostKeyframe]:
         """Those that are not forgotten at a time, the oldest first."""
-        while self._references and stamp - self._references[0].stamp > MEMORY:
-            self._references.popleft()
-        return list(self._references)
+        while self._keyframes and stamp - self._keyframes[0].stamp > MEMORY:
+            self._keyframes.popleft()
+        return list(self._keyframes)

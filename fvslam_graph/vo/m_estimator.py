@@ -29,7 +29,7 @@ def m_estimator_covariance(
     jacobian: NDArray[np.float64],
     loss_scale: float,
     clusters: NDArray[np.intp],
-    shared: NDArray[np.float64] | None = None,
+    common: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
     """Covariance of an M-estimate with a Cauchy loss, by the residuals themselves: no noise level is assumed.
 
@@ -38,7 +38,7 @@ def m_estimator_covariance(
         jacobian: (N, R, P) of the residuals.
         loss_scale: Of the loss of a measurement, in the residuals' unit.
         clusters: (N,) numbers of groups of measurements, which are independent of other groups and need not be within.
-        shared: (N, R, S) what each of S errors of deviation 1, common to all, adds to the residuals.
+        common: (N, R, S) what each of S errors of deviation 1, common to all, adds to the residuals.
 
     Returns:
         (P, P); None where the residuals do not determine the parameters.
@@ -63,10 +63,10 @@ def m_estimator_covariance(
     inverse = root.T @ (axes / np.maximum(share, LEAST_CURVATURE)) @ axes.T @ root
     # Residuals are smaller than errors, since they were minimised; and a sum of so few squares is now and then too
     # small by far (Hotelling 1931).
-    by_few = count / (count - parameters) * (count - 1) / max(count - parameters - 2, 1)
-    meat = by_few * scores.T @ scores
-    if shared is not None:
-        pull = np.einsum("nri,nrs->is", weighted, shared)
+    small_sample = count / (count - parameters) * (count - 1) / max(count - parameters - 2, 1)
+    meat = small_sample * scores.T @ scores
+    if common is not None:
+        pull = np.einsum("nri,nrs->is", weighted, common)
         meat += pull @ pull.T
     covariance: NDArray[np.float64] = inverse @ meat @ inverse
     return (covariance + covariance.T) / 2

@@ -24,7 +24,7 @@ from fvslam_graph.features.detection import detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.vo.absolute_pose import locate, refine
+from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose
 from fvslam_graph.vo.depth import triangulate, typical_depth
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground_plane import GroundAligner
@@ -39,24 +39,24 @@ from fvslam_graph.vo.scale import MetricScale
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1
 ENOUGH = 2  # times the inliers needed: fewer tracks, and none is left apart
-PATIENCE = 3  # textured images in a row that do not fit the reference before it is given up
+PATIENCE = 3  # textured images in a row that do not fit the keyframe before it is given up
 GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """A measured motion against the reference.
+    """A measured motion against the keyframe.
 
     Attributes:
-        ref_T_cur: Pose and its covariance.
+        keyframe_T_cur: Pose and its covariance.
         tracks: Those that agree with it.
-        map: Of the reference, with what was learnt.
+        map: Of the keyframe, with what was learnt.
         scale: Of the baseline, where it was estimated.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         by_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
     """
 
-    ref_T_cur: GaussianPose
+    keyframe_T_cur: GaussianPose
     tracks: Tracks
     map: MetricMap
     scale: ScaleStep | None = None
@@ -65,9 +65,9 @@ class _Motion:
 
 
 class VisualOdometry:
-    """Monocular visual odometry against a reference frame (keyframe).
+    """Monocular visual odometry against a keyframe.
 
-    The reference is the previous frame as long as the camera moves enough from frame to frame; a slower camera keeps
+    The keyframe is the previous frame as long as the camera moves enough from frame to frame; a slower camera keeps
     it until the parallax tells a direction of travel, so that standing still and creeping do not drift.
 
     Args:
@@ -102,88 +102,88 @@ class VisualOdometry:
         self._gate = MotionGate()
         self._stopwatch = Stopwatch()
 
-        self._reference: Frame | None = None
-        self._points = 0  # how many the reference has
-        self._map = MetricMap.empty()  # of the reference
-        self._ref_T_last = GaussianPose.identity()  # where the last usable image was taken, and its time
+        self._keyframe: Frame | None = None
+        self._points = 0  # how many the keyframe has
+        self._map = MetricMap.empty()  # of the keyframe
+        self._keyframe_T_last = GaussianPose.identity()  # where the last usable image was taken, and its time
         self._last_stamp = math.nan
         self._first = 0  # index of the first frame
         self._seen = Tracks.none()  # where the points were when the camera last moved
         self._lost = LostKeyframes()
-        self._failures = 0  # usable images in a row that did not fit the reference
-        self._apart = np.empty(0, np.int64)  # tracks not to be used for the motion
+        self._failures = 0  # usable images in a row that did not fit the keyframe
+        self._excluded = np.empty(0, np.int64)  # tracks not to be used for the motion
 
-    def step(self, frame: Frame, apart: NDArray[np.int64] | None = None) -> VoEstimate:
+    def step(self, frame: Frame, excluded: NDArray[np.int64] | None = None) -> VoEstimate:
         """Estimate the motion of the next frame; frames come in the order of their stamps.
 
         Args:
             frame: The next frame.
-            apart: Tracks that are followed, but not used for the motion, as long as there are enough others.
+            excluded: Tracks that are followed, but not used for the motion, as long as there are enough others.
         """
-        self._apart = np.empty(0, np.int64) if apart is None else apart
+        self._excluded = np.empty(0, np.int64) if excluded is None else excluded
         self._stopwatch = Stopwatch()
         if math.isnan(self._last_stamp):
             self._last_stamp, self._first = frame.stamp, frame.index
         if frame.image is None:
             return self._coast(frame, Status.SKIPPED)
-        if self._reference is None:
-            return self._refer_after(self._coast(frame, Status.STATIC), frame)
+        if self._keyframe is None:
+            return self._restart(self._coast(frame, Status.STATIC), frame)
 
         if (found := self._found_again(frame)) is not None:
             return found
         with self._stopwatch.stage("association"):
             tracks = self._tracker.track(frame.image)
         if len(tracks) < self.settings.min_inliers:
-            return self._lose(frame)
+            return self._handle_lost(frame)
         with self._stopwatch.stage("pose"):
-            shaken = self._stands_still(tracks)
-        standing = None if shaken is None else self._stand(tracks, shaken)
+            shaken = self._static_rotation(tracks)
+        standing = None if shaken is None else self._static(tracks, shaken)
         measured = standing or self._measure(frame, tracks)
         if measured is None:
-            return self._lose(frame)
-        motion = self._believed(frame, measured)
+            return self._handle_lost(frame)
+        motion = self._gated(frame, measured)
         if motion is None:
             return replace(self._coast(frame, Status.COASTED), found=len(tracks), parallax=measured.parallax)
-        estimate = self._accept(frame, motion) if standing is None else self._rest(frame, motion)
+        estimate = self._accept(frame, motion) if standing is None else self._accept_static(frame, motion)
         estimate = replace(estimate, found=len(tracks), parallax=motion.parallax)
 
         far = motion.scale is not None and motion.parallax > self.settings.keyframe_parallax
         if standing is None and (far or self._is_worn_out(motion.tracks)):
-            self._refer_to(frame, motion.tracks, estimate.map)
+            self._set_keyframe(frame, motion.tracks, estimate.map)
         elif not len(self._map):
-            self._map = motion.map  # in whose scale motions from this reference go on
+            self._map = motion.map  # in whose scale motions from this keyframe go on
         return estimate
 
     def _measure(self, frame: Frame, tracks: Tracks) -> _Motion | None:
         """What the image says of the motion, and how much parallax it has; None where nothing fits."""
         with self._stopwatch.stage("pose"):
             rotation, unexplained = fit_rotation(
-                rays(self.camera, tracks.reference), rays(self.camera, tracks.current), self.camera.fx
+                rays(self.camera, tracks.keyframe), rays(self.camera, tracks.current), self.camera.fx
             )
             parallax = float(np.median(unexplained))
-        motion = self._move(frame, tracks, rotation, parallax)
+        motion = self._estimate_motion(frame, tracks, rotation, parallax)
         return None if motion is None else replace(motion, parallax=parallax)
 
-    def _move(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
+    def _estimate_motion(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
         """Two views where they tell most, else the map, else what is left; None where nothing fits."""
         far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
         located = self._locate(tracks, self._map)
-        if not far and located is not None and (motion := self._move_in_map(tracks, located, self._map)):
+        if not far and located is not None and (motion := self._from_map(tracks, located, self._map)):
             return motion
-        if some and (motion := self._move_by_two_views(frame, tracks, located)):
+        if some and (motion := self._from_two_views(frame, tracks, located)):
             return motion
         if far and located is not None:
-            return self._move_in_map(tracks, located, self._map)
-        return None if far else self._turn(tracks, rotation, parallax)
+            return self._from_map(tracks, located, self._map)
+        return None if far else self._rotation_only(tracks, rotation, parallax)
 
-    def _believed(self, frame: Frame, motion: _Motion) -> _Motion | None:
+    def _gated(self, frame: Frame, motion: _Motion) -> _Motion | None:
         """The motion with what may be wrong about it; None where the camera can hardly have moved so."""
-        assert self._reference is not None
+        assert self._keyframe is not None
         pose = self._gate.apply(
-            motion.ref_T_cur,
+            motion.keyframe_T_cur,
             self._predict(frame),
             frame.stamp,
-            self._reference.stamp,
+            self._keyframe.stamp,
             self._motion_model.accelerations,
         )
         if pose is None:
@@ -191,19 +191,19 @@ class VisualOdometry:
         if self._gate.insisted and motion.scale is not None:
             # Where the motion is doubtful, so is the scale in which it was triangulated.
             known = MetricMap(motion.map.depths, motion.map.variance + GUESS)
-            return replace(motion, ref_T_cur=pose.with_scale_variance(GUESS), map=known)
-        return replace(motion, ref_T_cur=pose)
+            return replace(motion, keyframe_T_cur=pose.with_scale_variance(GUESS), map=known)
+        return replace(motion, keyframe_T_cur=pose)
 
     def _is_worn_out(self, tracks: Tracks) -> bool:
-        """Whether so few of the reference's points are left that another frame is to become the reference."""
+        """Whether so few of the keyframe's points are left that another one is needed."""
         return len(tracks) < self.settings.keyframe_tracks * self._points
 
     def _used(self, tracks: Tracks) -> NDArray[np.bool_]:
         """(N,) which tracks tell the motion."""
-        used = ~np.isin(tracks.ids, self._apart)
+        used = ~np.isin(tracks.ids, self._excluded)
         return used if used.sum() >= ENOUGH * self.settings.min_inliers else np.ones(len(tracks), bool)
 
-    def _stands_still(self, tracks: Tracks) -> gtsam.Rot3 | None:
+    def _static_rotation(self, tracks: Tracks) -> gtsam.Rot3 | None:
         """The small rotation that explains all image motion since the camera last moved; None where it moved."""
         _, before, now = np.intersect1d(self._seen.ids, tracks.ids, assume_unique=True, return_indices=True)
         if len(now) < self.settings.min_inliers:
@@ -215,75 +215,75 @@ class VisualOdometry:
         rotation, unexplained = fit_rotation(rays(self.camera, last), rays(self.camera, current), self.camera.fx)
         return rotation if np.median(unexplained) < self.settings.static_parallax else None
 
-    def _stand(self, tracks: Tracks, shaken: gtsam.Rot3) -> _Motion:
+    def _static(self, tracks: Tracks, shaken: gtsam.Rot3) -> _Motion:
         """No translation, with the uncertainty of a parallax that counts as none."""
         hidden = self.settings.static_parallax / self.camera.fx
         sigmas = np.repeat([hidden, hidden * self._typical_depth()], 3)
         step = GaussianPose(gtsam.Pose3(shaken, np.zeros(3)), np.diag(sigmas**2))
-        return _Motion(self._ref_T_last.compose(step), tracks, self._map)
+        return _Motion(self._keyframe_T_last.compose(step), tracks, self._map)
 
-    def _rest(self, frame: Frame, motion: _Motion) -> VoEstimate:
+    def _accept_static(self, frame: Frame, motion: _Motion) -> VoEstimate:
         """Take over that the camera stands; where it came to stand is kept, so that it does not drift."""
         self._motion_model.stop()
         self._last_stamp, self._failures = frame.stamp, 0
-        return replace(self._estimate(frame, motion.ref_T_cur, Status.STATIC), tracks=motion.tracks)
+        return replace(self._estimate(frame, motion.keyframe_T_cur, Status.STATIC), tracks=motion.tracks)
 
-    def _move_by_two_views(self, frame: Frame, tracks: Tracks, located: gtsam.Pose3 | None) -> _Motion | None:
+    def _from_two_views(self, frame: Frame, tracks: Tracks, located: gtsam.Pose3 | None) -> _Motion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
-        assert self._reference is not None
+        assert self._keyframe is not None
         with self._stopwatch.stage("pose"):
             used = self._used(tracks)
             expected = [located or self._predict(frame).mean]
-            two_view = estimate_relative_pose(
+            relative_pose = estimate_relative_pose(
                 tracks[used], self.camera, self.settings, self._seed(), expected, self._map.depths
             )
-        if two_view is None:
+        if relative_pose is None:
             return None
         inliers = ~used
-        inliers[used] = two_view.inliers
-        two_view = replace(two_view, inliers=inliers)
+        inliers[used] = relative_pose.inliers
+        relative_pose = replace(relative_pose, inliers=inliers)
         with self._stopwatch.stage("scale"):
-            tracks = tracks[two_view.inliers]
-            pose = gtsam.Pose3(two_view.rotation, two_view.direction)
-            unit = self._triangulated(tracks, pose, two_view.noise, two_view.covariance)
-            fallback = self._motion_model.distance(frame.stamp - self._reference.stamp)
+            tracks = tracks[relative_pose.inliers]
+            pose = gtsam.Pose3(relative_pose.rotation, relative_pose.direction)
+            unit = self._triangulated(tracks, pose, relative_pose.noise, relative_pose.covariance)
+            fallback = self._motion_model.distance(frame.stamp - self._keyframe.stamp)
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = self._guess(unit)
             scale, known = self._scale.estimate(
-                self._reference,
+                self._keyframe,
                 frame,
-                two_view,
-                rays(self.camera, tracks.reference),
+                relative_pose,
+                rays(self.camera, tracks.keyframe),
                 unit,
                 self._map,
                 fallback,
                 self._rng,
             )
-        by_calibration = metric_jacobian(two_view, scale.length)[:, :5] @ two_view.by_calibration
-        return _Motion(metric_pose(two_view, scale.length), tracks, known, scale, by_calibration=by_calibration)
+        by_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.by_calibration
+        return _Motion(metric_pose(relative_pose, scale.length), tracks, known, scale, by_calibration=by_calibration)
 
     def _locate(self, tracks: Tracks, known: MetricMap) -> gtsam.Pose3 | None:
         """Roughly where the camera is among the points of known depth."""
-        mine, theirs = known.depths.common(tracks.ids)
+        mine, theirs = known.depths.match(tracks.ids)
         used = self._used(tracks)[theirs]
         depths, seen = known.depths[mine[used]], tracks[theirs[used]]
-        points = rays(self.camera, seen.reference) / depths.values[:, None]
+        points = rays(self.camera, seen.keyframe) / depths.values[:, None]
         with self._stopwatch.stage("pose"):
-            return locate(points, seen.current, self.camera, self.settings, self._seed())
+            return estimate_absolute_pose(points, seen.current, self.camera, self.settings, self._seed())
 
-    def _move_in_map(self, tracks: Tracks, located: gtsam.Pose3, known: MetricMap) -> _Motion | None:
+    def _from_map(self, tracks: Tracks, located: gtsam.Pose3, known: MetricMap) -> _Motion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
         used = self._used(tracks)
         with self._stopwatch.stage("pose"):
-            seen = rays(self.camera, tracks.reference)
+            seen = rays(self.camera, tracks.keyframe)
             depths = known.depths.of(tracks.ids)
-            refined = refine(located, seen[used], tracks[used], depths[used], self.camera)
+            refined = refine_absolute_pose(located, seen[used], tracks[used], depths[used], self.camera)
         if refined is None or refined.agree.sum() < self.settings.min_inliers:
             return None
         kept = ~used
         kept[used] = refined.agree
         tracks = tracks[kept]
-        if self._is_worn_out(tracks):  # what is left of the reference is triangulated while it can be
+        if self._is_worn_out(tracks):  # what is left of the keyframe is triangulated while it can be
             new = tracks[~np.isin(tracks.ids, known.depths.ids)]
             found = self._triangulated(new, refined.pose.mean, refined.noise, refined.direction_covariance)
             known = MetricMap(known.depths.fused(found[found.values > 0]), known.variance)
@@ -292,16 +292,16 @@ class VisualOdometry:
         return _Motion(pose, tracks, known, by_calibration=refined.by_calibration)
 
     def _triangulated(
-        self, tracks: Tracks, ref_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
+        self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
     ) -> InverseDepths:
         """Inverse depths of tracks by a motion, with the covariance of its rotation and direction."""
-        reference, current = rays(self.camera, tracks.reference), rays(self.camera, tracks.current)
-        rotation, baseline, focal = ref_T_cur.rotation(), ref_T_cur.translation(), self.camera.fx
+        keyframe, current = rays(self.camera, tracks.keyframe), rays(self.camera, tracks.current)
+        rotation, baseline, focal = keyframe_T_cur.rotation(), keyframe_T_cur.translation(), self.camera.fx
         return triangulate(
-            tracks.ids, reference, current, rotation, baseline, focal, noise, covariance, tracks.covariances
+            tracks.ids, keyframe, current, rotation, baseline, focal, noise, covariance, tracks.covariances
         )
 
-    def _turn(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion:
+    def _rotation_only(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion:
         """Rotation alone; both it and the translation are as uncertain as the parallax that may hide in it."""
         hidden = max(parallax, self.settings.static_parallax) / ROTATION_AMBIGUITY / self.camera.fx
         covariance = np.diag(np.repeat([hidden, hidden * self._typical_depth()], 3) ** 2)
@@ -309,24 +309,24 @@ class VisualOdometry:
 
     def _accept(self, frame: Frame, motion: _Motion) -> VoEstimate:
         """Take over a measured motion."""
-        assert self._reference is not None
-        # The mean since the reference: a difference of two poses that are near each other would be mostly noise.
-        seconds = frame.stamp - self._reference.stamp
+        assert self._keyframe is not None
+        # The mean since the keyframe: a difference of two poses that are near each other would be mostly noise.
+        seconds = frame.stamp - self._keyframe.stamp
         passed = frame.stamp - self._last_stamp
-        self._motion_model.observe(motion.ref_T_cur.mean, seconds, motion.map.variance, passed)
-        self._ref_T_last, self._last_stamp = motion.ref_T_cur, frame.stamp
+        self._motion_model.observe(motion.keyframe_T_cur.mean, seconds, motion.map.variance, passed)
+        self._keyframe_T_last, self._last_stamp = motion.keyframe_T_cur, frame.stamp
         self._seen, self._failures = motion.tracks, 0
-        estimate = self._estimate(frame, motion.ref_T_cur, Status.TRACKED)
-        mine, theirs = motion.map.depths.common(motion.tracks.ids)
-        seen = rays(self.camera, motion.tracks.reference[theirs])
-        depths = motion.map.depths[mine].moved(seen, motion.ref_T_cur.mean)
+        estimate = self._estimate(frame, motion.keyframe_T_cur, Status.TRACKED)
+        mine, theirs = motion.map.depths.match(motion.tracks.ids)
+        seen = rays(self.camera, motion.tracks.keyframe[theirs])
+        depths = motion.map.depths[mine].moved(seen, motion.keyframe_T_cur.mean)
         here = MetricMap(depths, motion.map.variance)
         return replace(
             estimate, tracks=motion.tracks, scale=motion.scale, map=here, by_calibration=motion.by_calibration
         )
 
-    def _lose(self, frame: Frame) -> VoEstimate:
-        """The image does not fit the reference: a bad image is passed over, a changed scene becomes the reference."""
+    def _handle_lost(self, frame: Frame) -> VoEstimate:
+        """The image does not fit the keyframe: a bad image is passed over, a changed scene becomes the keyframe."""
         assert frame.image is not None
         texture = Texture.of(frame.image, self._features.octave)
         if len(detect(texture, self._features)) < self.settings.min_inliers:
@@ -337,37 +337,37 @@ class VisualOdometry:
         estimate = replace(estimate, prev_T_cur=estimate.prev_T_cur.after_loss(self._typical_depth()))
         if patient:
             return estimate
-        if self._reference is not None and len(self._map) >= self.settings.min_inliers:
+        if self._keyframe is not None and len(self._map) >= self.settings.min_inliers:
             tracker = copy(self._tracker)
-            self._lost.add(LostKeyframe(self._reference, self._map, tracker, self._last_stamp))
-        return replace(self._refer_after(estimate, frame), awaited=self._lost.indices)
+            self._lost.add(LostKeyframe(self._keyframe, self._map, tracker, self._last_stamp))
+        return replace(self._restart(estimate, frame), awaited=self._lost.indices)
 
     def _found_again(self, frame: Frame) -> VoEstimate | None:
-        """The motion from a reference that was lost, where this image fits it."""
-        for reference in self._lost.remembered(frame.stamp):
-            motion = self._return_to(reference, frame)
+        """The motion from a keyframe that was lost, where this image fits it."""
+        for keyframe in self._lost.remembered(frame.stamp):
+            motion = self._return_to(keyframe, frame)
             if motion is not None:
                 self._lost = LostKeyframes()
-                self._reference, self._last_stamp = reference.frame, reference.stamp
+                self._keyframe, self._last_stamp = keyframe.frame, keyframe.stamp
                 estimate = self._accept(frame, motion)
-                self._refer_to(frame, motion.tracks, estimate.map)
+                self._set_keyframe(frame, motion.tracks, estimate.map)
                 return estimate
         return None
 
-    def _return_to(self, reference: LostKeyframe, frame: Frame) -> _Motion | None:
-        """The motion from another reference, if enough of its points are found, and most of these agree."""
+    def _return_to(self, keyframe: LostKeyframe, frame: Frame) -> _Motion | None:
+        """The motion from another keyframe, if enough of its points are found, and most of these agree."""
         assert frame.image is not None
         with self._stopwatch.stage("association"):
-            tracks = reference.tracker.track(frame.image)
+            tracks = keyframe.tracker.track(frame.image)
         if len(tracks) < ENOUGH * self.settings.min_inliers:
             return None
-        located = self._locate(tracks, reference.map)
-        motion = None if located is None else self._move_in_map(tracks, located, reference.map)
+        located = self._locate(tracks, keyframe.map)
+        motion = None if located is None else self._from_map(tracks, located, keyframe.map)
         return motion if motion and len(motion.tracks) >= self.settings.keyframe_tracks * len(tracks) else None
 
-    def _refer_after(self, estimate: VoEstimate, frame: Frame) -> VoEstimate:
+    def _restart(self, estimate: VoEstimate, frame: Frame) -> VoEstimate:
         """Begin anew at this frame, whose pose is that of the estimate."""
-        self._refer_to(frame, Tracks.none(), MetricMap.empty())
+        self._set_keyframe(frame, Tracks.none(), MetricMap.empty())
         self._motion_model.coast(frame.stamp - self._last_stamp)
         self._last_stamp = frame.stamp
         return estimate
@@ -376,20 +376,20 @@ class VisualOdometry:
         """The motion model carries on from the last usable image, in the scale that its velocity has."""
         step, variance = self._motion_model.predict(frame.stamp - self._last_stamp), self._motion_model.log_variance
         # The last motion has this scale as far as its covariance holds it.
-        last = ScaledPose.of(self._ref_T_last, variance).replaced(self._ref_T_last)
-        pose = last.compose(ScaledPose.of(step.with_scale_variance(variance), variance)).whole
+        last = ScaledPose.of(self._keyframe_T_last, variance).replaced(self._keyframe_T_last)
+        pose = last.compose(ScaledPose.of(step.with_scale_variance(variance), variance)).total
         return self._estimate(frame, pose, status)
 
     def _predict(self, frame: Frame) -> GaussianPose:
-        """ref_T_cur as the motion model has it."""
-        return self._ref_T_last.compose(self._motion_model.predict(frame.stamp - self._last_stamp))
+        """keyframe_T_cur as the motion model has it."""
+        return self._keyframe_T_last.compose(self._motion_model.predict(frame.stamp - self._last_stamp))
 
-    def _refer_to(self, frame: Frame, kept: Tracks, known: MetricMap) -> None:
+    def _set_keyframe(self, frame: Frame, kept: Tracks, known: MetricMap) -> None:
         assert frame.image is not None
         with self._stopwatch.stage("detection"):
-            self._seen = self._tracker.rebase(frame.image, kept)
-        self._reference, self._map, self._points = frame, known, len(self._seen)
-        self._ref_T_last = GaussianPose.identity()
+            self._seen = self._tracker.set_keyframe(frame.image, kept)
+        self._keyframe, self._map, self._points = frame, known, len(self._seen)
+        self._keyframe_T_last = GaussianPose.identity()
         self._failures = 0
         self._gate.forget()
 
@@ -400,14 +400,14 @@ class VisualOdometry:
 
     def _typical_depth(self) -> float:
         """Metres to what is seen."""
-        height = math.nan if self._reference is None else self._reference.height
+        height = math.nan if self._keyframe is None else self._keyframe.height
         return typical_depth(self._map.depths, rays(self.camera, self._seen.current), self._down, height)
 
     def _seed(self) -> int:
         return int(self._rng.integers(2**31))
 
-    def _estimate(self, frame: Frame, ref_T_cur: GaussianPose, status: Status) -> VoEstimate:
-        reference = self._first if self._reference is None else self._reference.index
+    def _estimate(self, frame: Frame, keyframe_T_cur: GaussianPose, status: Status) -> VoEstimate:
+        keyframe = self._first if self._keyframe is None else self._keyframe.index
         return VoEstimate(
-            frame.index, reference, ref_T_cur, status, awaited=self._lost.indices, times=self._stopwatch.times
+            frame.index, keyframe, keyframe_T_cur, status, awaited=self._lost.indices, times=self._stopwatch.times
         )

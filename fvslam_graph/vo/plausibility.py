@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Measured:
-    """A motion against the reference, which was not believed."""
+    """A motion against the keyframe, which was not believed."""
 
     stamp: float
     pose: GaussianPose
@@ -66,10 +66,10 @@ class MotionGate:
         """The measured motion with a covariance that says how far it is to be believed; None where it is not.
 
         Args:
-            measured: ref_T_cur of the images,
+            measured: keyframe_T_cur of the images,
             expected: and of the motion model.
             stamp: Of the current image,
-            start: and of the reference.
+            start: and of the keyframe.
             accelerations: (6,) standard deviations, rad/s^2 and m/s^2.
         """
         error, surprise = _difference(expected, measured)
@@ -85,12 +85,12 @@ class MotionGate:
         self.forget()
         self._believed = stamp
         self._doubts = [doubt for doubt in self._doubts if doubt.start + doubt.seconds > start]
-        # What was open up to the reference is in its own pose.
+        # What was open up to the keyframe is in its own pose.
         open_now = [doubt.covariance(stamp) - doubt.covariance(start) for doubt in self._doubts]
         return GaussianPose(measured.mean, measured.covariance + sum(open_now, np.zeros((6, 6))))
 
     def forget(self) -> None:
-        """What was refused was measured against a reference that is none any more."""
+        """What was refused was measured against a keyframe that is none any more."""
         self._refused = []
 
     def _insisted(self, accelerations: Array) -> bool:

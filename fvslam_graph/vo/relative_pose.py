@@ -92,9 +92,9 @@ def estimate_relative_pose(
     }
     bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE}
     some = tracks[a_sample(len(tracks))]
-    pose, _ = poselib.estimate_relative_pose(some.reference, some.current, model, model, ransac, bundle)
+    pose, _ = poselib.estimate_relative_pose(some.keyframe, some.current, model, model, ransac, bundle)
     found = gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
-    matches = _Matches(tracks, rays(camera, tracks.reference), rays(camera, tracks.current), camera.fx, known)
+    matches = _Matches(tracks, rays(camera, tracks.keyframe), rays(camera, tracks.current), camera.fx, known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
     starts = [(start, WIDTHS) for start in expected] + [(found, WIDTHS[FOUND:])]
     fits: list[_Fit] = []
@@ -109,7 +109,7 @@ def estimate_relative_pose(
     if inliers.sum() < max(settings.min_inliers, settings.min_inlier_share * len(tracks)):
         return None
     told = inliers & (np.abs(best.distance) < CLEARLY * best.noise)
-    cells = neighbourhoods(tracks.reference[told], camera)
+    cells = neighbourhoods(tracks.keyframe[told], camera)
     distance, jacobian = best.distance[told, None], best.jacobian[told, None]
     covariance = m_estimator_covariance(distance, jacobian, KERNEL * best.noise, cells)
     if covariance is None:
@@ -204,18 +204,18 @@ class _Fit:
             noise,
             covariances=tracks.covariances,
         )
-        mine, theirs = depths.common(known.ids)
+        mine, theirs = depths.match(known.ids)
         values, variance = depths.values[mine], depths.sigmas[mine] ** 2
-        reference, doubt = known.values[theirs], known.total_sigmas[theirs] ** 2
+        expected, doubt = known.values[theirs], known.total_sigmas[theirs] ** 2
         ahead = values > 0
         if not ahead.any():
             return cost + len(mine) * float(np.log1p((BEHIND / KERNEL) ** 2))
-        scale = float(np.exp(np.median(np.log(values[ahead] / reference[ahead]))))
+        scale = float(np.exp(np.median(np.log(values[ahead] / expected[ahead]))))
         for _ in range(SCALE_ITERATIONS):
             total = variance + scale**2 * doubt
-            square = (values - scale * reference) ** 2 / total
+            square = (values - scale * expected) ** 2 / total
             weight = 1 / total / (1 + square / KERNEL**2)
-            scale = float((weight * values * reference).sum() / (weight * reference**2).sum())
+            scale = float((weight * values * expected).sum() / (weight * expected**2).sum())
         return cost + float(np.log1p(square / KERNEL**2).sum())
 
 

@@ -12,7 +12,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 
-NEAREST = 0.05  # times as far away as in the reference: nearer than that, nothing is followed
+NEAREST = 0.05  # times as far away as in the keyframe: nearer than that, nothing is followed
 
 AGREES = 4.0  # standard deviations, at most, of a track that agrees
 
@@ -25,9 +25,9 @@ class ReprojectionErrors:
 
     Attributes:
         values: (N, 2).
-        by_pose: (N, 2, 6) in the tangent of ref_T_cur.
+        by_pose: (N, 2, 6) in the tangent of keyframe_T_cur.
         by_calibration: (N, 2, 2) with the logarithm of the focal length, and with k1, as in `calibration_jacobian`.
-        by_shared: (N, 2, S) what each of the errors that depths share adds to them.
+        J_common: (N, 2, S) what each of the errors that depths share adds to them.
         sharp: (N,) whether the texture tells much across the line.
         ahead: (N,) whether the point is seen before the camera, apart from noise.
     """
@@ -35,7 +35,7 @@ class ReprojectionErrors:
     values: Array
     by_pose: Array
     by_calibration: Array
-    by_shared: Array
+    J_common: Array
     sharp: NDArray[np.bool_]
     ahead: NDArray[np.bool_]
 
@@ -59,7 +59,7 @@ class ReprojectionErrors:
 
 
 def reprojection_errors(
-    ref_T_cur: gtsam.Pose3, rays: Array, tracks: Tracks, depths: InverseDepths, camera: Camera, noise: float
+    keyframe_T_cur: gtsam.Pose3, rays: Array, tracks: Tracks, depths: InverseDepths, camera: Camera, noise: float
 ) -> ReprojectionErrors:
     """Reprojection errors with depths marginalised, each linearised where the point most likely is.
 
@@ -67,14 +67,14 @@ def reprojection_errors(
     depth is known; a point of unknown depth tells what it tells in two views.
 
     Args:
-        ref_T_cur: Metres.
-        rays: (N, 3) of the tracks in the reference, z = 1.
+        keyframe_T_cur: Metres.
+        rays: (N, 3) of the tracks in the keyframe, z = 1.
         tracks: N.
-        depths: (N,) theirs, in the reference; unknown ones have an infinite sigma.
+        depths: (N,) theirs, in the keyframe; unknown ones have an infinite sigma.
         camera: Undistorted.
         noise: Pixels, of a corner's displacement along each axis.
     """
-    R, t = ref_T_cur.rotation().matrix(), ref_T_cur.translation()
+    R, t = keyframe_T_cur.rotation().matrix(), keyframe_T_cur.translation()
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     turned, step = rays @ R, t @ R
 
@@ -119,8 +119,8 @@ def reprojection_errors(
     white[:, 0, 0] = 1 / (noise * np.sqrt(spread[:, 0, 0]))
     white[:, 1, 0], white[:, 1, 1] = -given / sigma, 1 / sigma
     white = white @ axes
-    by_shared = np.zeros((len(x), 2, depths.shared.shape[1]))
-    by_shared[:, 1] = (speed / sigma)[:, None] * depths.shared
+    J_common = np.zeros((len(x), 2, depths.common.shape[1]))
+    J_common[:, 1] = (speed / sigma)[:, None] * depths.common
     values = (white @ error[:, :, None])[:, :, 0]
     ahead = likeliest * speed > -AGREES * noise
-    return ReprojectionErrors(values, white @ by_pose, white @ by_calibration, by_shared, spread[:, 0, 0] < 2, ahead)
+    return ReprojectionErrors(values, white @ by_pose, white @ by_calibration, J_common, spread[:, 0, 0] < 2, ahead)

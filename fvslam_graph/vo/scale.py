@@ -51,7 +51,7 @@ class MetricScale:
         self,
         previous: Frame,
         current: Frame,
-        two_view: RelativePose,
+        relative_pose: RelativePose,
         rays: NDArray[np.float64],
         unit: InverseDepths,
         known: MetricMap,
@@ -65,7 +65,7 @@ class MetricScale:
 
         Args:
             previous, current: The two frames.
-            two_view: Their relative pose.
+            relative_pose: Their relative pose.
             rays: (N, 3) of the tracks in the previous frame.
             unit: (N,) depths of these tracks in baselines.
             known: The map in the previous frame.
@@ -79,27 +79,27 @@ class MetricScale:
         predicted = fallback if ratio is None else LogScale(ratio.mean, ratio.variance + known.variance)
         if ratio is None:
             self._filter.forget()
-        carried = ratio or fallback
+        transition = ratio or fallback
         if self.settings.source is ScaleSource.UNIT:
             scale = LogScale(0.0, 1.0)
-            step = ScaleStep(scale, carried=scale)
+            step = ScaleStep(scale, predicted=scale)
         elif self.settings.source is ScaleSource.ORACLE:
             assert self._true_baseline is not None
             baseline = self._true_baseline(previous.index, current.index)
             measured = LogScale(math.log(baseline), ORACLE_VARIANCE) if baseline > 0 else None
             scale = measured or predicted
-            step = ScaleStep(scale, carried, measured)
+            step = ScaleStep(scale, transition, measured)
         else:
-            plane = self._from_plane(previous, current, two_view, rays, unit, predicted, rng)
+            plane = self._from_plane(previous, current, relative_pose, rays, unit, predicted, rng)
             scale = self._filter.update(predicted, plane)
-            step = ScaleStep(scale, carried, plane, self._filter.variance, self._filter.decay)
+            step = ScaleStep(scale, transition, plane, self._filter.bias_variance, self._filter.bias_decay)
         old = known.depths if ratio is None else known.depths.scaled(scale.metres / predicted.metres)
         new = unit.scaled(scale.metres)
         return step, MetricMap(old.fused(new[new.values > 0]), scale.variance)
 
     def _ratio(self, unit: InverseDepths, known: InverseDepths) -> LogScale | None:
         """Scale at which newly triangulated depths agree with known ones; None with too few points in common."""
-        mine, theirs = unit.common(known.ids)
+        mine, theirs = unit.match(known.ids)
         unit, known = unit[mine], known[theirs]
         usable = (unit.values > unit.sigmas) & (known.values > known.sigmas)
         if usable.sum() < MIN_COMMON:
@@ -118,7 +118,7 @@ class MetricScale:
         self,
         previous: Frame,
         current: Frame,
-        two_view: RelativePose,
+        relative_pose: RelativePose,
         rays: NDArray[np.float64],
         unit: InverseDepths,
         predicted: LogScale,
@@ -129,7 +129,7 @@ class MetricScale:
         if self._aligner is None or previous.image is None or current.image is None or not height > 0:
             return None
         expected = predicted.metres / height if predicted.variance < UNINFORMATIVE_VARIANCE else None
-        ground = self._aligner.measure(previous.image, current.image, two_view, rays, unit, expected, rng)
+        ground = self._aligner.measure(previous.image, current.image, relative_pose, rays, unit, expected, rng)
         if ground is None:
             return None
         variance = ground.log_variance + self.settings.plane_sigma**2 + (previous.height_sigma / height) ** 2

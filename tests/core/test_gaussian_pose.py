@@ -50,11 +50,13 @@ def test_a_scale_that_is_not_known_is_an_uncertain_length():
     motion = GaussianPose(gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([1.0, 0.5, 2.0])), 1e-4 * np.eye(6))
     logs = 1e-4 * np.array([-1.0, 1.0])
     stretched = [gtsam.Pose3(motion.mean.rotation(), np.exp(log) * motion.mean.translation()) for log in logs]
-    by_scale = motion.mean.localCoordinates(stretched[1]) - motion.mean.localCoordinates(stretched[0])
-    by_scale /= logs[1] - logs[0]
+    scale_covariance = motion.mean.localCoordinates(stretched[1]) - motion.mean.localCoordinates(stretched[0])
+    scale_covariance /= logs[1] - logs[0]
     vague = motion.with_scale_variance(0.04)
     assert vague.mean.equals(motion.mean, 0)
-    assert vague.covariance - motion.covariance == pytest.approx(0.04 * np.outer(by_scale, by_scale), abs=1e-8)
+    assert vague.covariance - motion.covariance == pytest.approx(
+        0.04 * np.outer(scale_covariance, scale_covariance), abs=1e-8
+    )
     assert vague.with_scale_variance(-0.04).covariance == pytest.approx(motion.covariance, abs=1e-12)
 
 
@@ -84,23 +86,26 @@ def path_errors(steps: int, samples: int) -> tuple[np.ndarray, ScaledPose]:
 
 def test_a_scale_that_errs_likewise():
     positions, path = path_errors(12, 20000)
-    axes = path.whole.mean.rotation().matrix()
-    believed = axes @ path.whole.covariance[3:, 3:] @ axes.T
+    axes = path.total.mean.rotation().matrix()
+    believed = axes @ path.total.covariance[3:, 3:] @ axes.T
     true = np.cov(positions.T)
     assert np.trace(true) < np.trace(believed) < 1.3 * np.trace(true)  # an upper bound, and no large one
     assert np.trace(path.pose.covariance[3:, 3:]) < 0.3 * np.trace(true)  # as if independent
-    assert np.linalg.eigvalsh(path.whole.covariance)[0] > -1e-12
+    assert np.linalg.eigvalsh(path.total.covariance)[0] > -1e-12
 
 
 def test_another_estimate_has_room_for_less_of_the_scale():
     motion = GaussianPose(gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 2.0])), 1e-4 * np.eye(6))
     odometry = ScaledPose.of(motion.with_scale_variance(0.04), 0.04)
     same = odometry.replaced(odometry.pose)
-    assert same.variance == pytest.approx(0.04) and same.by_scale == pytest.approx(odometry.by_scale)
+    assert same.variance == pytest.approx(0.04) and same.scale_covariance == pytest.approx(odometry.scale_covariance)
     better = odometry.replaced(motion)
     assert better.variance == pytest.approx(1e-4 / 4)
     assert (
-        np.linalg.eigvalsh(motion.covariance - np.outer(better.by_scale, better.by_scale) / better.variance)[0] > -1e-9
+        np.linalg.eigvalsh(
+            motion.covariance - np.outer(better.scale_covariance, better.scale_covariance) / better.variance
+        )[0]
+        > -1e-9
     )
 
 

@@ -29,11 +29,11 @@ def test_a_jump_of_the_exposure_loses_no_tracks(texture, gain, offset):
     found = {}
     for jumps in (False, True):
         tracker = KltTracker(FeatureSettings())
-        tracker.rebase(texture(), Tracks.none())
+        tracker.set_keyframe(texture(), Tracks.none())
         for step, shift in enumerate(shifts):
             image = texture(shift)
             tracks = tracker.track(exposed(image, gain, offset) if jumps and step >= 3 else image)
-            error = np.linalg.norm(tracks.current - tracks.reference - shift, axis=1)
+            error = np.linalg.norm(tracks.current - tracks.keyframe - shift, axis=1)
             assert np.median(error) < 0.05
         found[jumps] = len(tracks)
     assert found[True] > 0.95 * found[False]

@@ -11,15 +11,15 @@ from fvslam_graph.features.klt import KltTracker
 
 @pytest.fixture
 def tracker(texture):
-    """A tracker whose reference is the texture, unmoved, with some noise."""
+    """A tracker whose keyframe is the texture, unmoved, with some noise."""
     tracker = KltTracker(FeatureSettings())
-    tracker.rebase(texture(noise=1.0), Tracks.none())
+    tracker.set_keyframe(texture(noise=1.0), Tracks.none())
     return tracker
 
 
 def misses(tracks: Tracks, shift) -> np.ndarray:
     """Distances of tracks from where they should be, (N,) pixels."""
-    return np.linalg.norm(tracks.current - tracks.reference - shift, axis=1)
+    return np.linalg.norm(tracks.current - tracks.keyframe - shift, axis=1)
 
 
 @pytest.mark.parametrize("shift", [(0.3, -0.4), (3.6, 2.3), (-12.3, 7.7)])
@@ -32,7 +32,7 @@ def test_points_are_found_to_a_fraction_of_a_pixel(texture, tracker, shift):
 
 def test_the_same_image_has_not_moved(texture):
     tracker = KltTracker(FeatureSettings())
-    points = tracker.rebase(texture(), Tracks.none())
+    points = tracker.set_keyframe(texture(), Tracks.none())
     tracks = tracker.track(texture())
     assert np.array_equal(tracks.ids, points.ids)
     assert misses(tracks, 0).max() < 1e-3
@@ -45,15 +45,15 @@ def test_alignment_with_the_reference_does_not_drift(texture, tracker):
         tracks = tracker.track(texture(shift, noise=1.0))
     assert len(tracks) > 250  # the others have left the image
     assert np.median(misses(tracks, shift)) < 1.5 * first  # measured 1.0
-    assert np.linalg.norm(np.mean(tracks.current - tracks.reference - shift, axis=0)) < 0.01
+    assert np.linalg.norm(np.mean(tracks.current - tracks.keyframe - shift, axis=0)) < 0.01
 
 
 def test_what_is_covered_is_lost(texture, tracker):
     image = texture()
     image[:, 160:] = texture(seed=5)[:, 160:]
-    points = tracker.rebase(texture(), Tracks.none())
+    points = tracker.set_keyframe(texture(), Tracks.none())
     tracks = tracker.track(image)
-    seen, covered = tracks.reference[:, 0] < 150, tracks.reference[:, 0] > 170
+    seen, covered = tracks.keyframe[:, 0] < 150, tracks.keyframe[:, 0] > 170
     assert seen.sum() == (points.current[:, 0] < 150).sum()
     assert misses(tracks[seen], 0).max() < 0.02
     assert covered.sum() < 0.35 * (points.current[:, 0] > 170).sum()  # measured 0.19: something similar is around
@@ -65,7 +65,7 @@ def test_what_leaves_the_image_is_lost(texture, tracker):
         tracks = tracker.track(texture((10.0 * step, 0.0)))
         assert tracks.current.min() > BORDER
         assert np.all(tracks.current < (image.shape[1] - 1 - BORDER, image.shape[0] - 1 - BORDER))
-    gone = tracks.reference[:, 0] > image.shape[1] - 60
+    gone = tracks.keyframe[:, 0] > image.shape[1] - 60
     assert not np.any(misses(tracks[gone], (60.0, 0.0)) < 5)
 
 
@@ -77,14 +77,14 @@ def test_an_image_without_texture(texture, tracker):
 def test_without_points_there_are_no_tracks(texture):
     tracker = KltTracker(FeatureSettings())
     assert len(tracker.track(texture())) == 0
-    assert len(tracker.rebase(np.zeros_like(texture()), Tracks.none())) == 0
+    assert len(tracker.set_keyframe(np.zeros_like(texture()), Tracks.none())) == 0
     assert len(tracker.track(texture())) == 0
 
 
 def test_points_keep_their_ids(texture, tracker):
     tracks = tracker.track(texture((30.0, 0.0)))
     kept = tracks[tracks.ids % 2 == 0]
-    points = tracker.rebase(texture((30.0, 0.0)), kept)
+    points = tracker.set_keyframe(texture((30.0, 0.0)), kept)
     assert np.array_equal(points.ids[: len(kept)], kept.ids)
     assert np.allclose(points.current[: len(kept)], kept.current, atol=1e-4)
     assert len(np.unique(points.ids)) == len(points) > len(kept) + 50

@@ -104,9 +104,9 @@ def test_a_motion_from_a_frame_that_was_lost(anchored):
     expected = step(1).mean.compose(step(4).mean)
     if anchored:
         expected = step(1).mean.compose(vague.mean).between(expected)
-    assert chain.motion.whole.mean.equals(expected, 1e-9)
+    assert chain.motion.total.mean.equals(expected, 1e-9)
     # What was vague does not matter any more, unless the anchor is where it ended.
-    assert bool(np.trace(chain.motion.whole.covariance) > 100) == anchored
+    assert bool(np.trace(chain.motion.total.covariance) > 100) == anchored
 
 
 def test_an_anchor_that_something_else_knows_better():
@@ -116,4 +116,4 @@ def test_an_anchor_that_something_else_knows_better():
     chain.add(2, OdometryStep(1, step(2), awaited=(0,)))
     chain.anchor(step(5))
     chain.add(3, OdometryStep(0, step(3)))
-    assert chain.motion.whole.mean.equals(step(5).mean.between(step(3).mean), 1e-9)
+    assert chain.motion.total.mean.equals(step(5).mean.between(step(3).mean), 1e-9)

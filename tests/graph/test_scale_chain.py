@@ -35,15 +35,17 @@ NOTHING = LandmarkObservations(np.empty(0, np.int64), np.empty((0, 2)), np.empty
 def steps(count: int, seed: int = 0) -> list[ScaleStep]:
     """What odometry learns of motions that are all `METRES` long, on a ground that is not quite a plane."""
     rng, scales = np.random.default_rng(seed), ScaleFilter(SETTINGS)
-    known, shared, made = LogScale(math.log(METRES), 1.0), 0.0, []
+    known, bias, made = LogScale(math.log(METRES), 1.0), 0.0, []
     for number in range(count):
-        carried = LogScale(known.mean + DRIFT * rng.standard_normal() * (number > 0), DRIFT**2 if number else 1.0)
-        predicted = LogScale(carried.mean, carried.variance + (known.variance if number else 0.0))
-        shared = scales.decay * shared + SETTINGS.bias_sigma * math.sqrt(1 - scales.decay**2) * rng.standard_normal()
-        said = math.log(METRES) + shared + SETTINGS.plane_sigma * rng.standard_normal()
+        transition = LogScale(known.mean + DRIFT * rng.standard_normal() * (number > 0), DRIFT**2 if number else 1.0)
+        predicted = LogScale(transition.mean, transition.variance + (known.variance if number else 0.0))
+        bias = (
+            scales.bias_decay * bias + SETTINGS.bias_sigma * math.sqrt(1 - scales.bias_decay**2) * rng.standard_normal()
+        )
+        said = math.log(METRES) + bias + SETTINGS.plane_sigma * rng.standard_normal()
         plane = None if number % 7 == 3 else LogScale(said, SETTINGS.plane_sigma**2)
         known = scales.update(predicted, plane)
-        made.append(ScaleStep(known, carried, plane, scales.variance, scales.decay))
+        made.append(ScaleStep(known, transition, plane, scales.bias_variance, scales.bias_decay))
     return made
 
 
@@ -167,8 +169,8 @@ def test_a_scale_that_nothing_measures_is_a_convention(relative):
     graph.add_odometry(0.0, OdometryStep(0, GaussianPose.identity()))
     for number in range(12):
         unknown = number in (0, 6)  # odometry begins anew at the seventh
-        carried = LogScale(math.log(METRES), 1.0 if unknown else DRIFT**2)
-        step = ScaleStep(LogScale(math.log(METRES), 1.0), carried)
+        predicted = LogScale(math.log(METRES), 1.0 if unknown else DRIFT**2)
+        step = ScaleStep(LogScale(math.log(METRES), 1.0), predicted)
         graph.add_odometry(0.1 * (number + 1), OdometryStep(number, motion(step), step, 1.0))
     for first, last in ((0, 5), (7, 12)):
         aside = TRUE[first].between(TRUE[last]) * gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.0, 0.0]))

@@ -94,15 +94,15 @@ def test_known_depths_are_metric(random_state, camera):
 
 
 def test_known_depths_share_the_errors_of_a_motion(random_state, camera):
-    shared = np.random.default_rng(0).normal(0, 0.01, (3, 5))
-    points = KnownPoints(IDS, PIXELS, np.array([0.1, 0.2, 0.5]), np.full(3, 0.01), shared, 0.0)
+    common = np.random.default_rng(0).normal(0, 0.01, (3, 5))
+    points = KnownPoints(IDS, PIXELS, np.array([0.1, 0.2, 0.5]), np.full(3, 0.01), common, 0.0)
     state = random_state(0)
     grown = with_new_landmarks(state, IDS, PIXELS, known_depths(points, camera, len(state.covariance)), camera, 0.5)
     grown.check()
     stretch = np.linalg.norm(np.column_stack([camera.normalize(PIXELS), np.ones(3)]), axis=1)
     rows = grown.parts[1][np.isin(grown.ids[: len(grown.rays)], IDS), 2]
     uncertain_scale = np.outer(points.inverse_depths, points.inverse_depths) * state.covariance[SCALE, SCALE]
-    expected = (1e-4 * np.eye(3) + shared @ shared.T + uncertain_scale) / np.outer(stretch, stretch)
+    expected = (1e-4 * np.eye(3) + common @ common.T + uncertain_scale) / np.outer(stretch, stretch)
     assert grown.covariance[np.ix_(rows, rows)] == pytest.approx(expected)
 
 

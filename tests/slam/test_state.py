@@ -71,8 +71,8 @@ def test_the_scale_apart_changes_nothing_metric(random_state, seed):
 
 def test_a_common_error_of_all_distances_becomes_one_of_the_scale(random_state):
     state = random_state(2)
-    shared = np.outer(state.by_scale, state.by_scale)  # all lengths are wrong alike, by a factor of deviation e^0.1
-    apart = replace(state, covariance=0.1**2 * shared).with_scale_apart()
+    common = np.outer(state.by_scale, state.by_scale)  # all lengths are wrong alike, by a factor of deviation e^0.1
+    apart = replace(state, covariance=0.1**2 * common).with_scale_apart()
     assert apart.covariance[SCALE, SCALE] == pytest.approx(0.1**2)
     apart_from_it = np.delete(np.delete(apart.covariance, SCALE, 0), SCALE, 1)
     assert np.abs(apart_from_it).max() < 1e-12

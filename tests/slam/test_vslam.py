@@ -226,7 +226,7 @@ def test_rebasing_moves_the_pose_alone():
     plain, rebased = begun(scene, SceneFinder(scene)), begun(scene, SceneFinder(scene))
     before = [(plain.step(frame_of(scene, i)), rebased.step(frame_of(scene, i))) for i in range(2, 12)][-1][1]
     place = GaussianPose(gtsam.Pose3.Expmap(np.arange(6.0) / 5), 0.01 * np.eye(6))
-    rebased.rebase(place)
+    rebased.reset_pose(place)
     a, b = plain.step(frame_of(scene, 12)), rebased.step(frame_of(scene, 12))
     assert np.array_equal(a.landmarks.ids, b.landmarks.ids)
     assert a.landmarks.points == pytest.approx(b.landmarks.points, abs=1e-9)

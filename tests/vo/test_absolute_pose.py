@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.config import VoSettings
-from fvslam_graph.core.inverse_depths import SHARED, InverseDepths
+from fvslam_graph.core.inverse_depths import COMMON_ERRORS, InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
-from fvslam_graph.vo.absolute_pose import locate, refine
+from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.reprojection import reprojection_errors
 
@@ -21,14 +21,14 @@ MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.01, 0.03, -0.02])), np.array(
 NEAR = MOTION.retract(np.array([0.002, -0.001, 0.003, 0.004, 0.002, -0.005]))
 
 
-def depths_of(scene, sigma, seed: int = 0, shared=None) -> InverseDepths:
+def depths_of(scene, sigma, seed: int = 0, common=None) -> InverseDepths:
     """Known with errors of these relative deviations, and with errors that all share."""
     rng = np.random.default_rng(seed)
     values, sigma = 1 / scene.points[:, 2], np.broadcast_to(sigma, len(scene.points))
-    shared = np.zeros((len(values), SHARED)) if shared is None else shared
+    common = np.zeros((len(values), COMMON_ERRORS)) if common is None else common
     errors = np.where(np.isfinite(sigma), sigma, 0.0) * rng.standard_normal(len(values)) * values
-    off = shared @ rng.standard_normal(SHARED)
-    return InverseDepths(scene.tracks.ids, values + errors + off, sigma * values, shared)
+    off = common @ rng.standard_normal(COMMON_ERRORS)
+    return InverseDepths(scene.tracks.ids, values + errors + off, sigma * values, common)
 
 
 def hardly_known(depths: InverseDepths) -> InverseDepths:
@@ -36,7 +36,7 @@ def hardly_known(depths: InverseDepths) -> InverseDepths:
 
 
 def refined(camera, scene, depths):
-    return refine(NEAR, rays(camera, scene.tracks.reference), scene.tracks, depths, camera)
+    return refine_absolute_pose(NEAR, rays(camera, scene.tracks.keyframe), scene.tracks, depths, camera)
 
 
 def nees_of(found) -> float:
@@ -47,7 +47,7 @@ def nees_of(found) -> float:
 
 def test_exact_without_noise(camera, two_views):
     scene = two_views(MOTION)
-    located = locate(scene.points, scene.tracks.current, camera, SETTINGS, seed=0)
+    located = estimate_absolute_pose(scene.points, scene.tracks.current, camera, SETTINGS, seed=0)
     assert located.equals(MOTION, 1e-6)
     found = refined(camera, scene, depths_of(scene, 0.0))
     assert found.agree.all()
@@ -58,7 +58,7 @@ def test_exact_without_noise(camera, two_views):
 @pytest.mark.parametrize("sigma", [0.0, 0.02, np.inf])
 def test_jacobian_by_finite_differences(camera, two_views, sigma):
     scene = two_views(MOTION)
-    ray, depths = rays(camera, scene.tracks.reference), depths_of(scene, 0.0)
+    ray, depths = rays(camera, scene.tracks.keyframe), depths_of(scene, 0.0)
     depths = InverseDepths.independent(depths.ids, depths.values, sigma * depths.values)
 
     def values(change: np.ndarray) -> np.ndarray:
@@ -73,7 +73,7 @@ def test_jacobian_by_finite_differences(camera, two_views, sigma):
 def test_a_point_of_unknown_depth_tells_what_it_tells_in_two_views(camera, two_views):
     """The distance from its epipolar line, at any depth that is assumed; nothing along that."""
     scene = two_views(MOTION, noise=0.5)
-    ray, across = rays(camera, scene.tracks.reference), []
+    ray, across = rays(camera, scene.tracks.keyframe), []
     for factor in (0.5, 1.0, 3.0):
         values = factor / scene.points[:, 2]
         unknown = InverseDepths.independent(scene.tracks.ids, values, np.full(len(values), np.inf))
@@ -90,7 +90,7 @@ def test_errors_are_whitened(camera, two_views):
     roots = rng.standard_normal((len(scene.points), 2, 2))
     tracks = replace(scene.tracks, covariances=roots @ roots.mT + 0.1 * np.eye(2))
     root = np.linalg.cholesky(tracks.covariances)
-    ray, exact = rays(camera, tracks.reference), 1 / scene.points[:, 2]
+    ray, exact = rays(camera, tracks.keyframe), 1 / scene.points[:, 2]
     sigma, drawn = 0.1 * exact, []
     for _ in range(40):
         noise = (root @ rng.standard_normal((len(exact), 2, 1)))[:, :, 0]
@@ -121,10 +121,10 @@ def test_covariance_holds_the_errors_that_points_share(camera, two_views):
     for seed in range(100):
         scene = two_views(MOTION, noise=0.1, seed=seed)
         # All depths err with where the points are in the image, as they do by a wrong direction of travel.
-        ray = rays(camera, scene.tracks.reference)
-        shared = np.zeros((len(ray), SHARED))
-        shared[:, :3] = 0.02 * ray / scene.points[:, 2:]
-        told = depths_of(scene, 0.001, seed, shared)
+        ray = rays(camera, scene.tracks.keyframe)
+        common = np.zeros((len(ray), COMMON_ERRORS))
+        common[:, :3] = 0.02 * ray / scene.points[:, 2:]
+        told = depths_of(scene, 0.001, seed, common)
         honest.append(nees_of(refined(camera, scene, told)))
         untold = InverseDepths.independent(told.ids, told.values, told.sigmas)
         unaware.append(nees_of(refined(camera, scene, untold)))
@@ -138,7 +138,7 @@ def test_points_of_unknown_depth_help(camera, two_views):
     scene = two_views(MOTION, noise=0.1)
     few = np.arange(len(scene.points)) % 15 == 0
     depths = depths_of(scene, np.where(few, 0.01, np.inf))
-    alone = refine(NEAR, rays(camera, scene.tracks.reference)[few], scene.tracks[few], depths[few], camera)
+    alone = refine_absolute_pose(NEAR, rays(camera, scene.tracks.keyframe)[few], scene.tracks[few], depths[few], camera)
     together = refined(camera, scene, depths)
     turn = [np.trace(found.pose.covariance[:3, :3]) for found in (alone, together)]
     assert turn[1] < 0.3 * turn[0]
@@ -157,11 +157,11 @@ def test_outliers_are_found(camera, two_views):
 def test_nothing_to_go_by(camera, two_views):
     scene = two_views(MOTION)
     few = SETTINGS.min_inliers - 1
-    assert locate(scene.points[:few], scene.tracks.current[:few], camera, SETTINGS, 0) is None
-    assert locate(np.empty((0, 3)), np.empty((0, 2)), camera, SETTINGS, 0) is None
+    assert estimate_absolute_pose(scene.points[:few], scene.tracks.current[:few], camera, SETTINGS, 0) is None
+    assert estimate_absolute_pose(np.empty((0, 3)), np.empty((0, 2)), camera, SETTINGS, 0) is None
     rng = np.random.default_rng(0)
     anywhere = rng.uniform(0, 480, (len(scene.points), 2))
-    assert locate(scene.points, anywhere, camera, SETTINGS, 0) is None
+    assert estimate_absolute_pose(scene.points, anywhere, camera, SETTINGS, 0) is None
     same = np.zeros(40, int)
     again = scene._replace(tracks=scene.tracks[same], points=scene.points[same])
     assert refined(camera, again, depths_of(scene, 0.0)[same]) is None
@@ -172,7 +172,9 @@ def test_the_pose_changes_with_the_calibration_as_it_says(camera, two_views, col
     scene = two_views(MOTION, noise=0.1)
     depths = depths_of(scene, 0.02)
     tracks = scene.tracks
-    other = Tracks.alike(tracks.ids, *(recalibrated(camera, at, *change) for at in (tracks.reference, tracks.current)))
-    before, after = (refine(NEAR, rays(camera, seen.reference), seen, depths, camera) for seen in (tracks, other))
+    other = Tracks.alike(tracks.ids, *(recalibrated(camera, at, *change) for at in (tracks.keyframe, tracks.current)))
+    before, after = (
+        refine_absolute_pose(NEAR, rays(camera, seen.keyframe), seen, depths, camera) for seen in (tracks, other)
+    )
     moved = before.pose.mean.localCoordinates(after.pose.mean) / max(change)
     assert before.by_calibration[:, column] == pytest.approx(moved, rel=0.1, abs=0.03)

@@ -16,7 +16,7 @@ def from_scene(camera, scene, motion=MOTION, current=None, covariance=None) -> I
     current = tracks.current if current is None else current
     return triangulate(
         tracks.ids,
-        rays(camera, tracks.reference),
+        rays(camera, tracks.keyframe),
         rays(camera, current),
         motion.rotation(),
         motion.translation(),
@@ -67,8 +67,8 @@ def test_shared_errors_by_finite_differences(camera, two_views):
     mixing = 0.01 * np.random.default_rng(0).standard_normal((5, 5))
     depths = from_scene(camera, scene, covariance=mixing @ mixing.T)
     expected = numeric @ mixing @ mixing.T @ numeric.T
-    assert depths.shared @ depths.shared.T == pytest.approx(expected, rel=1e-4, abs=1e-6 * expected.max())
-    assert not from_scene(camera, scene).shared.any()
+    assert depths.common @ depths.common.T == pytest.approx(expected, rel=1e-4, abs=1e-6 * expected.max())
+    assert not from_scene(camera, scene).common.any()
 
 
 def test_parallax_the_wrong_way_is_a_negative_depth(camera):
@@ -101,7 +101,7 @@ def test_what_is_shared_averages_out_with_the_rest():
     once = InverseDepths(ids, values, sigmas, np.ones((3, 5)))
     again = once.fused(once)
     assert again.sigmas == pytest.approx(sigmas / 2**0.5)
-    assert again.shared == pytest.approx(np.full((3, 5), 0.5**0.5))
+    assert again.common == pytest.approx(np.full((3, 5), 0.5**0.5))
 
 
 def test_fused_with_nothing():
@@ -114,7 +114,7 @@ def test_fused_with_nothing():
 def test_common():
     depths = InverseDepths.independent(np.array([8, 2, 5]), np.array([0.8, 0.2, 0.5]), np.ones(3))
     ids = np.array([5, 9, 8, 1])
-    mine, theirs = depths.common(ids)
+    mine, theirs = depths.match(ids)
     assert depths.ids[mine].tolist() == ids[theirs].tolist() == [5, 8]
     assert depths[mine].values.tolist() == [0.5, 0.8]
 
@@ -122,7 +122,7 @@ def test_common():
 def test_moved_is_exact(camera, two_views):
     scene = two_views(MOTION)
     depths = InverseDepths.independent(scene.tracks.ids, 1 / scene.points[:, 2], np.full(len(scene.points), 0.01))
-    moved = depths.moved(rays(camera, scene.tracks.reference), MOTION)
+    moved = depths.moved(rays(camera, scene.tracks.keyframe), MOTION)
     in_new = MOTION.transformTo(scene.points.T).T
     assert np.array_equal(moved.ids, depths.ids)
     assert moved.values == pytest.approx(1 / in_new[:, 2], rel=1e-9)
@@ -130,7 +130,7 @@ def test_moved_is_exact(camera, two_views):
 
 def test_moved_sigmas_by_finite_differences(camera, two_views):
     scene = two_views(MOTION)
-    ray, step = rays(camera, scene.tracks.reference), 1e-7
+    ray, step = rays(camera, scene.tracks.keyframe), 1e-7
     values, sigmas = 1 / scene.points[:, 2], np.linspace(0.001, 0.01, len(scene.points))
 
     def moved(change: float) -> InverseDepths:
@@ -140,7 +140,7 @@ def test_moved_sigmas_by_finite_differences(camera, two_views):
 
     derivative = (moved(step).values - moved(-step).values) / (2 * step)
     assert moved(0).sigmas == pytest.approx(sigmas * np.abs(derivative), rel=1e-5)
-    assert moved(0).shared == pytest.approx(np.outer(sigmas * derivative, np.arange(5)), rel=1e-5)
+    assert moved(0).common == pytest.approx(np.outer(sigmas * derivative, np.arange(5)), rel=1e-5)
 
 
 def test_points_that_are_passed_are_dropped():

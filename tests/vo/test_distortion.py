@@ -28,7 +28,7 @@ def measured(camera, two_views, k1, noise, pairs, turn=0.05):
         motion = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.0, turn, 0.01])), np.array([0.1, 0.05, 1.0]))
         tracks = two_views(motion, seed=seed).tracks
         tracks = Tracks.alike(
-            tracks.ids, *(bent(camera, at, k1, noise, rng) for at in (tracks.reference, tracks.current))
+            tracks.ids, *(bent(camera, at, k1, noise, rng) for at in (tracks.keyframe, tracks.current))
         )
         pose = estimate_relative_pose(tracks, camera, VoSettings(), seed=0)
         distortion.add(tracks[pose.inliers], gtsam.Pose3(pose.rotation, pose.direction))

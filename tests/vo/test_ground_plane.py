@@ -24,7 +24,7 @@ class View(NamedTuple):
     height: float
 
     @property
-    def two_view(self) -> RelativePose:
+    def relative_pose(self) -> RelativePose:
         baseline = self.motion.translation()
         return RelativePose(
             self.motion.rotation(),
@@ -77,7 +77,7 @@ def measure(view: View, images, normal: np.ndarray, off: float | None = 1.05) ->
     """With an expectation that is `off` by a factor; with the help of tracks where that is None."""
     ray, depths = tracks_on(view, normal) if off is None else (np.empty((0, 3)), InverseDepths.none())
     expected = None if off is None else off * view.baseline_per_height
-    return view.aligner().measure(*images, view.two_view, ray, depths, expected, np.random.default_rng(0))
+    return view.aligner().measure(*images, view.relative_pose, ray, depths, expected, np.random.default_rng(0))
 
 
 def log_error(view: View, plane: GroundPlane) -> float:
@@ -88,7 +88,7 @@ def log_error(view: View, plane: GroundPlane) -> float:
 def test_without_any_expectation_a_range_of_scales_is_tried(plane_views, view):
     images = plane_views(view.camera, view.motion, (view.nominal, view.height), 0)
     nothing = np.empty((0, 3)), InverseDepths.none()
-    ground = view.aligner().measure(*images, view.two_view, *nothing, None, np.random.default_rng(0))
+    ground = view.aligner().measure(*images, view.relative_pose, *nothing, None, np.random.default_rng(0))
     assert abs(log_error(view, ground)) < 0.01
     assert ground.patches > 200
 
@@ -157,10 +157,10 @@ def test_a_wrong_expectation_does_not_hide_the_ground_for_good(plane_views, view
     ray, depths = tracks_on(view, view.nominal)
     expected = off * view.baseline_per_height
     rng, aligner = np.random.default_rng(0), view.aligner()
-    at_once = aligner.measure(*images, view.two_view, ray, depths, expected, rng)
+    at_once = aligner.measure(*images, view.relative_pose, ray, depths, expected, rng)
     assert abs(log_error(view, at_once)) < 0.02
     none = np.empty((0, 3)), InverseDepths.none()
-    later = [aligner.measure(*images, view.two_view, *none, expected, rng) for _ in range(16)]
+    later = [aligner.measure(*images, view.relative_pose, *none, expected, rng) for _ in range(16)]
     found = [ground for ground in later if ground is not None]
     assert found and all(abs(log_error(view, ground)) < 0.04 for ground in found)
 

@@ -59,15 +59,15 @@ def test_a_drive_is_followed(drive, driven):
 
 
 def test_little_parallax_above_a_plane_does_not_blow_up(slow_flight):
-    """The scale is not to feed on itself while the reference is kept, nor the map to die out."""
+    """The scale is not to feed on itself while the keyframe is kept, nor the map to die out."""
     estimates = slow_flight.run()[2:]  # the first motion is too small to tell from a rotation
     assert statuses(estimates) == [Status.TRACKED] * 28
     assert np.abs(slow_flight.relative_lengths(estimates) - 1).max() < 0.08  # measured 0.033
     assert np.linalg.norm(slow_flight.errors(estimates)[:, :3], axis=1).max() < 0.025  # measured 0.009 rad
-    references = {estimate.previous for estimate in estimates} - {0}
-    assert len(references) >= 2
+    keyframes = {estimate.previous for estimate in estimates} - {0}
+    assert len(keyframes) >= 2
     for estimate in estimates:
-        if estimate.index in references:
+        if estimate.index in keyframes:
             assert len(estimate.map) > 0.9 * len(estimate.tracks)
 
 
@@ -172,8 +172,8 @@ def test_a_camera_that_has_stopped_stays_where_it_is(flight):
     assert statuses(estimates[11:]) == [Status.STATIC] * 7 + [Status.SKIPPED, Status.COASTED]
     expected = estimates[10].prev_T_cur.mean.translation()
     stands = estimates[11].prev_T_cur
-    apart = np.linalg.norm(stands.mean.translation() - expected)
-    assert 1.5 < apart < 3 * math.sqrt(np.linalg.eigvalsh(stands.covariance[3:, 3:])[-1]) < 5 * apart
+    excluded = np.linalg.norm(stands.mean.translation() - expected)
+    assert 1.5 < excluded < 3 * math.sqrt(np.linalg.eigvalsh(stands.covariance[3:, 3:])[-1]) < 5 * excluded
     for estimate in estimates[18:]:
         assert estimate.previous == estimates[17].previous
         assert estimate.prev_T_cur.mean.equals(estimates[17].prev_T_cur.mean, 1e-3)

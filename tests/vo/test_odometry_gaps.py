@@ -28,7 +28,7 @@ def test_coasting_over_a_gap(flight, image, status):
     gap = np.zeros_like(flight.frames[0].image) if image else None
     estimates = flight.run(dict.fromkeys(range(8, 12), gap))
     assert [estimate.index for estimate in estimates if estimate.status is status] == [8, 9, 10, 11]
-    assert len({estimate.previous for estimate in estimates[8:13]}) == 1  # the reference is kept,
+    assert len({estimate.previous for estimate in estimates[8:13]}) == 1  # the keyframe is kept,
     assert statuses(estimates[12:]) == [Status.TRACKED] * 8  # and found again
     assert np.linalg.norm(flight.errors(estimates[12:])[:, 3:], axis=1).max() < 0.1  # measured 0.035 m
     assert all(
@@ -100,7 +100,7 @@ def test_random_images_do_not_raise(flight):
 
 
 def test_a_lost_reference_is_found_again(slow_flight):
-    """Four images of another scene, long enough for that to become the reference, and then the old one again."""
+    """Four images of another scene, long enough for that to become the keyframe, and then the old one again."""
     frames = slow_flight.frames
     estimates = slow_flight.run({i: np.ascontiguousarray(frames[i].image[:, ::-1]) for i in range(10, 14)})
     assert Status.REINITIALISED in statuses(estimates[10:14])

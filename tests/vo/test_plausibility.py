@@ -17,12 +17,12 @@ def pose(z: float, sigma: float = 0.01, x: float = 0.0) -> GaussianPose:
 
 
 def expected(stamp: float) -> GaussianPose:
-    """The pose by constant velocity from a reference at 0 s."""
+    """The pose by constant velocity from a keyframe at 0 s."""
     return GaussianPose(pose(SPEED * stamp).mean, np.diag((0.5 * ACCELERATIONS * stamp**2) ** 2) + 1e-6 * np.eye(6))
 
 
 def driven() -> MotionGate:
-    """A judge that has seen one motion as expected, which made the frame at 0 s the reference."""
+    """A judge that has seen one motion as expected, which made the frame at 0 s the keyframe."""
     plausibility = MotionGate()
     assert plausibility.apply(pose(SPEED * STEP), expected(STEP), 0.0, -STEP, ACCELERATIONS) is not None
     plausibility.forget()
@@ -30,7 +30,7 @@ def driven() -> MotionGate:
 
 
 def judge(plausibility: MotionGate, positions: list[float]) -> list[GaussianPose | None]:
-    """What is made of the frames after the reference, each STEP later."""
+    """What is made of the frames after the keyframe, each STEP later."""
     stamps = STEP * np.arange(1, len(positions) + 1)
     return [
         plausibility.apply(pose(z), expected(stamp), float(stamp), 0.0, ACCELERATIONS)
@@ -72,7 +72,7 @@ def test_doubt_grows_until_forces_allow_for_either():
         verdict = plausibility.apply(pose(0.0), pose(0.0), stamp, 0.0, ACCELERATIONS)
         sigmas.append(np.sqrt(verdict.covariance[5, 5]))
     assert sigmas == pytest.approx([SPEED * 0.5 / 2, SPEED * end / 2, SPEED * end / 2], rel=0.01)
-    # Against a reference within that time, it is what has come since, so that independent motions add up to the whole;
+    # Against a keyframe within that time, it is what has come since, so that independent motions add up to the whole;
     halves = [
         plausibility.apply(pose(0.0), pose(0.0), stamp, start, ACCELERATIONS).covariance[5, 5]
         for start, stamp in ((0.0, 0.8), (0.8, end))

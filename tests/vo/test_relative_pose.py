@@ -49,10 +49,10 @@ def test_epipolar_distance_is_that_of_the_textbook(camera, two_views, motion):
     skew = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
     F = K_inverse.T @ skew @ motion.rotation().matrix() @ K_inverse
     ones = np.ones((len(tracks), 1))
-    previous, current = np.hstack([tracks.reference, ones]), np.hstack([tracks.current, ones])
+    previous, current = np.hstack([tracks.keyframe, ones]), np.hstack([tracks.current, ones])
     line = previous @ F
     expected = (current * line).sum(axis=1) / np.linalg.norm(line[:, :2], axis=1)
-    seen = rays(camera, tracks.reference), rays(camera, tracks.current)
+    seen = rays(camera, tracks.keyframe), rays(camera, tracks.current)
     distance, _ = epipolar_distance(*seen, motion.rotation(), t, camera.fx)
     assert np.abs(distance) == pytest.approx(np.abs(expected), rel=1e-9, abs=1e-9)
     assert 1.0 < distance.std() < 5.0
@@ -67,7 +67,7 @@ def test_epipolar_distance_is_that_of_the_textbook(camera, two_views, motion):
 def test_epipolar_jacobian_by_finite_differences(camera, two_views, motion):
     """Also far from the line, where a Jacobian that takes the line's normal as given is wrong."""
     tracks = two_views(motion, noise=5.0).tracks
-    previous, current = rays(camera, tracks.reference), rays(camera, tracks.current)
+    previous, current = rays(camera, tracks.keyframe), rays(camera, tracks.current)
 
     def distances(step: np.ndarray) -> np.ndarray:
         moved = essential(motion).retract(step)
@@ -181,7 +181,7 @@ def test_nothing_to_go_by(camera, two_views):
 @pytest.mark.parametrize(("column", "change"), [(0, (1e-4, 0.0)), (1, (0.0, 1e-4))])
 def test_the_pose_changes_with_the_calibration_as_it_says(camera, two_views, column, change):
     tracks = two_views(FORWARD, noise=0.1).tracks
-    other = Tracks.alike(tracks.ids, *(recalibrated(camera, at, *change) for at in (tracks.reference, tracks.current)))
+    other = Tracks.alike(tracks.ids, *(recalibrated(camera, at, *change) for at in (tracks.keyframe, tracks.current)))
     before, after = (estimate_relative_pose(seen, camera, SETTINGS, 0) for seen in (tracks, other))
     first, second = (gtsam.EssentialMatrix(view.rotation, gtsam.Unit3(view.direction)) for view in (before, after))
     moved = first.localCoordinates(second) / max(change)

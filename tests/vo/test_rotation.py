@@ -15,7 +15,7 @@ def angle(a: gtsam.Rot3, b: gtsam.Rot3) -> float:
 
 
 def matched(camera, scene):
-    return rays(camera, scene.tracks.reference), rays(camera, scene.tracks.current)
+    return rays(camera, scene.tracks.keyframe), rays(camera, scene.tracks.current)
 
 
 @pytest.mark.parametrize("size", [1.0, 0.01, 0.0])

@@ -30,7 +30,7 @@ class Plumb:
         self.answer = GroundPlane(np.array([0.0, baseline_per_height, 0.0]), log_variance, 100)
         self.expected: list[float | None] = []
 
-    def measure(self, previous, current, two_view, ray, depths, expected, rng) -> GroundPlane | None:
+    def measure(self, previous, current, relative_pose, ray, depths, expected, rng) -> GroundPlane | None:
         self.expected.append(expected)
         return self.answer
 
@@ -41,21 +41,23 @@ def world(camera, two_views):
     scene = two_views(MOTION)
     tracks, length = scene.tracks, np.linalg.norm(MOTION.translation())
     inliers, direction = np.ones(len(tracks), bool), MOTION.translation() / length
-    two_view = RelativePose(MOTION.rotation(), direction, np.eye(5), inliers, 0.3, np.zeros((5, 2)))
-    ray = rays(camera, tracks.reference)
-    unit = triangulate(tracks.ids, ray, rays(camera, tracks.current), MOTION.rotation(), two_view.direction, camera.fx)
+    relative_pose = RelativePose(MOTION.rotation(), direction, np.eye(5), inliers, 0.3, np.zeros((5, 2)))
+    ray = rays(camera, tracks.keyframe)
+    unit = triangulate(
+        tracks.ids, ray, rays(camera, tracks.current), MOTION.rotation(), relative_pose.direction, camera.fx
+    )
     depths = 1 / scene.points[:, 2]
     known = MetricMap(InverseDepths.independent(tracks.ids, depths, 0.01 * depths), 0.02**2)
-    return two_view, ray, unit, known
+    return relative_pose, ray, unit, known
 
 
 def estimate(world, source: str, known=None, height=HEIGHT, aligner=None, true_baseline=None, **settings):
-    two_view, ray, unit, everything = world
+    relative_pose, ray, unit, everything = world
     scale = MetricScale(ScaleSettings(source=ScaleSource(source), **settings), aligner, true_baseline)
     step, metric_map = scale.estimate(
         Frame(3, 0.3, GREY, height),
         Frame(5, 0.5, GREY, height),
-        two_view,
+        relative_pose,
         ray,
         unit,
         everything if known is None else known,
@@ -132,9 +134,9 @@ def test_oracle_without_an_answer(world, answer):
 def test_plane_and_map_are_fused(world):
     plumb = Plumb(1.1 * BASELINE / HEIGHT, 0.01**2)
     scale, learnt = estimate(world, "plane", aligner=plumb, plane_sigma=0.03, bias_sigma=0.04, map_sigma=0.005)
-    carried, seen = 1 / (0.02**2 + 0.005**2), 1 / (0.01**2 + 0.03**2 + 0.04**2)  # information
-    assert scale.mean == pytest.approx(math.log(BASELINE) + math.log(1.1) * seen / (carried + seen), rel=1e-6)
-    assert scale.variance == pytest.approx(1 / (carried + seen), rel=1e-6)
+    predicted, seen = 1 / (0.02**2 + 0.005**2), 1 / (0.01**2 + 0.03**2 + 0.04**2)  # information
+    assert scale.mean == pytest.approx(math.log(BASELINE) + math.log(1.1) * seen / (predicted + seen), rel=1e-6)
+    assert scale.variance == pytest.approx(1 / (predicted + seen), rel=1e-6)
     assert plumb.expected == [pytest.approx(BASELINE / HEIGHT)]
     # What is learnt about the scale holds for all points.
     assert learnt.depths.values == pytest.approx(world[3].depths.values * BASELINE / scale.metres, rel=1e-6)
@@ -149,15 +151,15 @@ def test_plane_alone(world):
 
 
 def test_an_uncertain_height_makes_an_uncertain_scale(world):
-    two_view, ray, unit, _ = world
+    relative_pose, ray, unit, _ = world
     metric = MetricScale(ScaleSettings(), Plumb(BASELINE / HEIGHT, 0.0), None)
     frames = [Frame(i, float(i), GREY, HEIGHT, height_sigma=0.1 * HEIGHT) for i in range(2)]
     step, _ = metric.estimate(
-        *frames, two_view, ray, unit, MetricMap.empty(), LogScale(0.0, 1e6), np.random.default_rng(0)
+        *frames, relative_pose, ray, unit, MetricMap.empty(), LogScale(0.0, 1e6), np.random.default_rng(0)
     )
     assert step.length.variance == pytest.approx(0.1**2 + 0.02**2 + 0.04**2, rel=1e-3)
     assert step.measured is not None and step.measured.variance == pytest.approx(0.1**2 + 0.02**2)
-    assert step.shared == pytest.approx(0.04**2)
+    assert step.bias_variance == pytest.approx(0.04**2)
 
 
 @pytest.mark.parametrize("height", [math.nan, 0.0, -1.0])

@@ -17,13 +17,13 @@ def drive(settings: ScaleSettings, seed: int, silent=range(0)) -> tuple[float, f
     rng = np.random.default_rng(seed)
     scales = ScaleFilter(settings)
     decay = np.exp(-1 / SETTINGS.bias_correlation_keyframes)
-    shared = SETTINGS.bias_sigma * rng.standard_normal()
+    common = SETTINGS.bias_sigma * rng.standard_normal()
     error, variance = START * rng.standard_normal(), START**2
     for keyframe in range(KEYFRAMES):
-        shared = decay * shared + np.sqrt(1 - decay**2) * SETTINGS.bias_sigma * rng.standard_normal()
+        common = decay * common + np.sqrt(1 - decay**2) * SETTINGS.bias_sigma * rng.standard_normal()
         error += SETTINGS.map_sigma * rng.standard_normal()
         variance += SETTINGS.map_sigma**2
-        plane = LogScale(shared + SETTINGS.plane_sigma * rng.standard_normal(), SETTINGS.plane_sigma**2)
+        plane = LogScale(common + SETTINGS.plane_sigma * rng.standard_normal(), SETTINGS.plane_sigma**2)
         scale = scales.update(LogScale(error, variance), None if keyframe in silent else plane)
         error, variance = scale.mean, scale.variance
     return error, variance
