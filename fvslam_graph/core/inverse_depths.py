@@ -91,7 +91,7 @@ class InverseDepths:
             np.vstack([common, self.common[only_mine], other.common[only_theirs]]),
         )
 
-    def moved(self, rays: NDArray[np.float64], keyframe_T_new: gtsam.Pose3) -> InverseDepths:
+    def seen_from(self, rays: NDArray[np.float64], keyframe_T_new: gtsam.Pose3) -> InverseDepths:
         """The same points' inverse depths in a new keyframe; points that are not in front of it are dropped.
 
         Args:
@@ -105,9 +105,9 @@ class InverseDepths:
         values = self.values / remaining
         kept = (remaining > 0.05 * along) & (values > 0)
         # d(value / (along - value a)) / d value = along / remaining^2
-        by_value = along[kept] / remaining[kept] ** 2
+        J_value = along[kept] / remaining[kept] ** 2
         return InverseDepths(
-            self.ids[kept], values[kept], by_value * self.sigmas[kept], by_value[:, None] * self.common[kept]
+            self.ids[kept], values[kept], J_value * self.sigmas[kept], J_value[:, None] * self.common[kept]
         )
 
 

@@ -45,7 +45,7 @@ class OdometryStep:
         scale_variance: How much of its covariance is due to the logarithm of the scale; 0 where that is not known.
         awaited: Frames besides this one and the previous one, against which motions to come may be measured.
         measured: Whether images tell it; a motion model's has no noise in common with others.
-        by_calibration: (6, 2) how it changes with the logarithm of the focal length and with k1, in its tangent.
+        J_calibration: (6, 2) how it changes with the logarithm of the focal length and with k1, in its tangent.
     """
 
     previous: int
@@ -54,7 +54,7 @@ class OdometryStep:
     scale_variance: float = 0.0
     awaited: tuple[int, ...] = ()
     measured: bool = True
-    by_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
+    J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class VoEstimate:
         map: What is known of the depths of these tracks in this frame.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         awaited: Indices of keyframes that were lost: a motion to come may start from one that is found again.
-        by_calibration: (6, 2) how the motion changes with the logarithm of the focal length and with k1.
+        J_calibration: (6, 2) how the motion changes with the logarithm of the focal length and with k1.
         times: Milliseconds by stage.
     """
 
@@ -86,7 +86,7 @@ class VoEstimate:
     map: MetricMap = field(default_factory=MetricMap.empty)
     parallax: float = math.nan
     awaited: tuple[int, ...] = ()
-    by_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
+    J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
     times: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -100,7 +100,7 @@ class VoEstimate:
             self.map.variance,
             self.awaited,
             measured,
-            self.by_calibration,
+            self.J_calibration,
         )
 
     @property

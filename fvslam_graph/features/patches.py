@@ -49,10 +49,10 @@ def view_change(anchor_T_camera: Array, points: Array, camera: Camera) -> Array:
     forward = rotation.mT @ (np.eye(3) - translation[:, :, None] * normal[:, None, :])
     seen = points / there[:, 2:]  # of the ray that hits the middle
     focal = np.array([camera.fx, camera.fy])
-    by_seen = np.zeros((len(points), 2, 3))
-    by_seen[:, 0, 0] = by_seen[:, 1, 1] = 1 / seen[:, 2]
-    by_seen[:, :, 2] = -seen[:, :2] / seen[:, 2:] ** 2
-    change = focal[:, None] * (by_seen @ forward[:, :, :2]) / focal
+    J_seen = np.zeros((len(points), 2, 3))
+    J_seen[:, 0, 0] = J_seen[:, 1, 1] = 1 / seen[:, 2]
+    J_seen[:, :, 2] = -seen[:, :2] / seen[:, 2:] ** 2
+    change = focal[:, None] * (J_seen @ forward[:, :, :2]) / focal
     determinant = np.linalg.det(change)
     inverse: Array = np.full_like(change, np.nan)
     sound = np.abs(determinant) > 1e-6

@@ -243,7 +243,7 @@ class Graph:
             travel = motion.mean.rotation().unrotate(motion.mean.translation() / length)
             sigma = math.sqrt(float(travel @ motion.covariance[3:, 3:] @ travel))
             self.add(length_factor(step.previous, index, length, sigma))
-        if self.settings.odometry == "between" and self._has(CALIBRATION) and step.by_calibration.any():
+        if self.settings.odometry == "between" and self._has(CALIBRATION) and step.J_calibration.any():
             step, start = replace(step, prev_T_cur=motion), self._linearised(index)
             calibration = self._landmark_factors.calibration
             for factor in calibrated_motion_factors(index, step, self.settings, calibration, start, length=not told):
@@ -345,6 +345,6 @@ def _between(a: gtsam.Pose3, b: gtsam.Pose3) -> gtsam.Pose3:
 def _motion(solver: Solver, first: int, second: int, a: gtsam.Pose3, b: gtsam.Pose3) -> GaussianPose:
     """a_T_b with its marginal covariance, from the keys and estimates of two poses."""
     motion = a.between(b)
-    by_poses = np.hstack([-motion.inverse().AdjointMap(), np.eye(6)])
-    covariance = by_poses @ solver.joint_covariance(first, second) @ by_poses.T
+    J_poses = np.hstack([-motion.inverse().AdjointMap(), np.eye(6)])
+    covariance = J_poses @ solver.joint_covariance(first, second) @ J_poses.T
     return GaussianPose(motion, (covariance + covariance.T) / 2)

@@ -96,10 +96,10 @@ def motion_factor(
     if settings.odometry == "between" or distance < SHORT:
         return gtsam.BetweenFactorPose3(*keys, prev_T_cur.mean, motion_noise(prev_T_cur, settings, length))
     direction = gtsam.Unit3(prev_T_cur.mean.translation())
-    by_pose = np.zeros((5, 6))
-    by_pose[:3, :3] = np.eye(3)
-    by_pose[3:, 3:] = direction.basis().T @ prev_T_cur.mean.rotation().matrix() / distance
-    covariance = by_pose @ _counted(prev_T_cur, settings) @ by_pose.T
+    J_pose = np.zeros((5, 6))
+    J_pose[:3, :3] = np.eye(3)
+    J_pose[3:, 3:] = direction.basis().T @ prev_T_cur.mean.rotation().matrix() / distance
+    covariance = J_pose @ _counted(prev_T_cur, settings) @ J_pose.T
     noise = robust(gtsam.noiseModel.Gaussian.Covariance(covariance), settings)
     essential = gtsam.EssentialMatrix(prev_T_cur.mean.rotation(), direction)
     return gtsam.EssentialMatrixConstraint(*keys, essential, noise)
@@ -158,11 +158,11 @@ def calibrated_motion_factors(
     values.insert(filed, start)
     values.insert(pose_key(index), start)
     values.insert(CALIBRATION, calibration.start)
-    by_calibration = step.by_calibration @ calibration.jacobian()
+    J_calibration = step.J_calibration @ calibration.jacobian()
     tight = np.linalg.inv(np.linalg.cholesky(TIGHT * _counted(step.prev_T_cur, settings)))
     unit = gtsam.noiseModel.Unit.Create(6)
     linear = gtsam.JacobianFactor(
-        filed, tight, pose_key(index), -tight, CALIBRATION, tight @ by_calibration, np.zeros(6), unit
+        filed, tight, pose_key(index), -tight, CALIBRATION, tight @ J_calibration, np.zeros(6), unit
     )
     return [
         gtsam.BetweenFactorPose3(pose_key(step.previous), filed, measured, noise),
@@ -206,8 +206,8 @@ class LandmarkFactors:
         """A point (3,) in the camera with its covariance (3, 3), metres."""
         distance = float(np.linalg.norm(point))
         bearing = gtsam.Unit3(point)
-        by_point = np.vstack([bearing.basis().T / distance, point[None] / distance])
-        noise = gtsam.noiseModel.Gaussian.Covariance(by_point @ covariance @ by_point.T + LEAST_VARIANCE * np.eye(3))
+        J_point = np.vstack([bearing.basis().T / distance, point[None] / distance])
+        noise = gtsam.noiseModel.Gaussian.Covariance(J_point @ covariance @ J_point.T + LEAST_VARIANCE * np.eye(3))
         keys = pose_key(frame), landmark_key(landmark)
         return gtsam.BearingRangeFactor3D(*keys, bearing, distance, robust(noise, self._settings))
 

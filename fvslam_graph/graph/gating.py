@@ -40,9 +40,9 @@ def contradiction(
     points, pixels = points[known], pixels[known]
     if len(points) < MIN_LANDMARKS:
         return None
-    innovation, by_pose = _innovations(expected.mean, points, pixels, camera)
-    spread = by_pose @ expected.covariance @ by_pose.mT + (WIDTH * sigma) ** 2 * np.eye(2)
-    distances = (innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]).sum(axis=1)
+    innovation, J_pose = _innovations(expected.mean, points, pixels, camera)
+    S = J_pose @ expected.covariance @ J_pose.mT + (WIDTH * sigma) ** 2 * np.eye(2)
+    distances = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(axis=1)
     if float(np.median(distances)) < GATE:
         return None
     square = camera.fx * camera.normalize(pixels)
@@ -53,8 +53,8 @@ def contradiction(
     if agree.sum() < max(MIN_LANDMARKS, MIN_SHARE * len(points)):
         return None
     pose = gtsam.Pose3(gtsam.Rot3(found.R), found.t).inverse()
-    _, by_pose = _innovations(pose, points[agree], pixels[agree], camera)
-    information = (by_pose.mT @ by_pose).sum(axis=0) / sigma**2
+    _, J_pose = _innovations(pose, points[agree], pixels[agree], camera)
+    information = (J_pose.mT @ J_pose).sum(axis=0) / sigma**2
     return GaussianPose(pose, np.linalg.inv(information)) if np.linalg.cond(information) < MAX_CONDITION else None
 
 
@@ -64,11 +64,11 @@ def _innovations(pose: gtsam.Pose3, points: Array, pixels: Array, camera: Camera
     near = 1 / np.maximum(z, NEAREST)  # what is behind the camera is far from where it is seen
     x, y, zero = x * near, y * near, np.zeros_like(z)
     # A pose perturbed by (w, v) on the right sees the point at p + [p]x w - v.
-    by_pose = camera.fx * np.stack(
+    J_pose = camera.fx * np.stack(
         [
             np.stack([x * y, -(1 + x * x), y, -near, zero, near * x], axis=1),
             np.stack([1 + y * y, -x * y, -x, zero, -near, near * y], axis=1),
         ],
         axis=1,
     )
-    return camera.fx * (camera.normalize(pixels) - np.column_stack([x, y])), by_pose
+    return camera.fx * (camera.normalize(pixels) - np.column_stack([x, y])), J_pose

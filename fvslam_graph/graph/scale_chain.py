@@ -179,17 +179,17 @@ def _length_factor(
     The same displacement of both poses, however large, changes nothing, so that it holds where it was linearised and
     elsewhere.
     """
-    by_previous, by_index = np.zeros((1, 6)), np.zeros((1, 6))
-    by_previous[0, 3:], by_index[0, 3:] = -direction, prev_T_cur.rotation().unrotate(direction)
+    J_previous, J_index = np.zeros((1, 6)), np.zeros((1, 6))
+    J_previous[0, 3:], J_index[0, 3:] = -direction, prev_T_cur.rotation().unrotate(direction)
     values = gtsam.Values()
     values.insert(pose_key(previous), world_T_previous)
     values.insert(pose_key(index), world_T_previous.compose(prev_T_cur))
     values.insert(scale_key(length.scale), 0.0)
     jacobian = gtsam.JacobianFactor(
         pose_key(previous),
-        by_previous,
+        J_previous,
         pose_key(index),
-        by_index,
+        J_index,
         scale_key(length.scale),
         np.array([[-length.metres]]),
         np.zeros(1),

@@ -37,8 +37,8 @@ def sparse_rows(blocks: list[tuple[Array, NDArray[np.intp]]], width: int) -> sci
 
 def each_transformed(covariance: Array, jacobian: Array, columns: NDArray[np.intp]) -> Array:
     """The (N, r, r) J P J^T of each block of r rows on its own: values (N, r, c) and (N, c) their columns."""
-    own: Array = jacobian @ covariance[columns[:, :, None], columns[:, None, :]] @ jacobian.mT
-    return own
+    P_new: Array = jacobian @ covariance[columns[:, :, None], columns[:, None, :]] @ jacobian.mT
+    return P_new
 
 
 def transformed(covariance: Array, jacobian: scipy.sparse.csr_array) -> Array:
@@ -46,12 +46,12 @@ def transformed(covariance: Array, jacobian: scipy.sparse.csr_array) -> Array:
     return symmetric(jacobian @ cv2.transpose(jacobian @ covariance))
 
 
-def innovation(jacobian: scipy.sparse.csr_array, covariance: Array, sigma: float) -> tuple[Array, Array]:
+def innovation_covariance(jacobian: scipy.sparse.csr_array, covariance: Array, sigma: float) -> tuple[Array, Array]:
     """H P (k, n), and the innovation covariance H P H^T (k, k), exactly symmetric, with noise of deviation `sigma`."""
     product = jacobian @ covariance
-    spread = symmetric(jacobian @ cv2.transpose(product))
-    spread.ravel()[:: len(spread) + 1] += sigma**2
-    return product, spread
+    S = symmetric(jacobian @ cv2.transpose(product))
+    S.ravel()[:: len(S) + 1] += sigma**2
+    return product, S
 
 
 def inverse_root(covariance: Array) -> Array:
@@ -59,18 +59,18 @@ def inverse_root(covariance: Array) -> Array:
 
     P is positive definite, as the covariance of innovations is, which holds the noise of the pixels.
     """
-    root, _ = lapack.dpotrf(covariance, lower=1)
-    inverse: Array = lapack.dtrtri(root, lower=1, overwrite_c=1)[0]
+    L, _ = lapack.dpotrf(covariance, lower=1)
+    inverse: Array = lapack.dtrtri(L, lower=1, overwrite_c=1)[0]
     return inverse
 
 
-def extended(covariance: Array, cross: Array, own: Array) -> Array:
-    """P with new rows and columns at the end, of covariance `own` (k, k), and `cross` (k, n) with what is there."""
+def extended(covariance: Array, cross: Array, P_new: Array) -> Array:
+    """P with new rows and columns at the end, of covariance `P_new` (k, k), and `cross` (k, n) with what is there."""
     old = len(covariance)
-    whole = np.empty((old + len(own),) * 2)
-    whole[:old, :old], whole[old:, :old], whole[:old, old:] = covariance, cross, cross.T
-    whole[old:, old:] = symmetric(own)
-    return whole
+    P = np.empty((old + len(P_new),) * 2)
+    P[:old, :old], P[old:, :old], P[:old, old:] = covariance, cross, cross.T
+    P[old:, old:] = symmetric(P_new)
+    return P
 
 
 def selected(covariance: Array, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Array:

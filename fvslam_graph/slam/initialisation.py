@@ -23,12 +23,12 @@ class DepthPrior:
     Attributes:
         inverse: (K,) 1/metres.
         covariance: (K, K) of what the state does not know of them.
-        by_state: (K, n) how they depend on the error state; zero where they do not.
+        J_state: (K, n) how they depend on the error state; zero where they do not.
     """
 
     inverse: Array
     covariance: Array
-    by_state: Array
+    J_state: Array
 
 
 def known_depths(points: KnownPoints, camera: Camera, size: int) -> DepthPrior:
@@ -37,9 +37,9 @@ def known_depths(points: KnownPoints, camera: Camera, size: int) -> DepthPrior:
     inverse = points.inverse_depths / stretch  # distances are longer than depths
     common = np.column_stack([points.common / stretch[:, None], np.sqrt(points.log_variance) * inverse])
     covariance = np.diag((points.sigmas / stretch) ** 2) + common @ common.T
-    by_state = np.zeros((len(points), size))
-    by_state[:, SCALE] = inverse  # depths are metric, and the map is uncertain of its scale
-    return DepthPrior(inverse, covariance, by_state)
+    J_state = np.zeros((len(points), size))
+    J_state[:, SCALE] = inverse  # depths are metric, and the map is uncertain of its scale
+    return DepthPrior(inverse, covariance, J_state)
 
 
 def depths_from_map(state: State, pixels: Array, camera: Camera, spread: float) -> DepthPrior | None:
@@ -62,10 +62,10 @@ def depths_from_map(state: State, pixels: Array, camera: Camera, spread: float) 
     weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
     weight /= weight.sum(axis=1, keepdims=True)
     inverse = np.exp(-weight @ logs)
-    logs_by_state = np.zeros((len(state), len(state.covariance)))
-    logs_by_state[np.arange(len(state))[:, None], state.columns] = jacobian
-    by_state = -inverse[:, None] * (weight @ logs_by_state)
-    return DepthPrior(inverse, np.diag((spread * inverse) ** 2), by_state)
+    J_logs = np.zeros((len(state), len(state.covariance)))
+    J_logs[np.arange(len(state))[:, None], state.columns] = jacobian
+    J_state = -inverse[:, None] * (weight @ J_logs)
+    return DepthPrior(inverse, np.diag((spread * inverse) ** 2), J_state)
 
 
 def equal_depths(count: int, distance: float, spread: float, size: int) -> DepthPrior:
@@ -88,27 +88,29 @@ def with_new_landmarks(
         sigma: Of the pixels along each axis.
     """
     rays = np.column_stack([camera.normalize(pixels), np.ones(len(pixels))])
-    pointing, by_ray = angles(rays)
-    by_pixel = by_ray[:, :, :2] / (camera.fx, camera.fy)
+    pointing, J_ray = angles(rays)
+    J_pixel = J_ray[:, :, :2] / (camera.fx, camera.fy)
     # Only the inverse distances depend on what is in the state. The anchor comes first, and is certain.
     cross = np.zeros((1 + len(ids), PART, len(state.covariance)))
-    cross[1:, 2] = prior.by_state @ state.covariance
-    own = np.zeros((1 + len(ids), PART) * 2)
+    cross[1:, 2] = prior.J_state @ state.covariance
+    P_new = np.zeros((1 + len(ids), PART) * 2)
     each = np.arange(1, 1 + len(ids))
-    own[each, :2, each, :2] = sigma**2 * by_pixel @ by_pixel.mT
-    own[1:, 2, 1:, 2] = prior.covariance + cross[1:, 2] @ prior.by_state.T
+    P_new[each, :2, each, :2] = sigma**2 * J_pixel @ J_pixel.mT
+    P_new[1:, 2, 1:, 2] = prior.covariance + cross[1:, 2] @ prior.J_state.T
     size = cross.shape[0] * PART
-    covariance = extended(state.covariance, cross.reshape(size, -1), own.reshape(size, size))
+    covariance = extended(state.covariance, cross.reshape(size, -1), P_new.reshape(size, size))
 
     # All anchors come first, then all rays, then all points.
-    anchors, rays, points = state.parts
+    anchors, inverse_depth, points = state.parts
     new = len(state.covariance) + np.arange(size)
-    order = np.concatenate([np.arange(FIXED), anchors.ravel(), new[:PART], rays.ravel(), new[PART:], points.ravel()])
-    split = len(state.rays)
+    order = np.concatenate(
+        [np.arange(FIXED), anchors.ravel(), new[:PART], inverse_depth.ravel(), new[PART:], points.ravel()]
+    )
+    split = len(state.inverse_depth)
     return replace(
         state,
         anchors=np.vstack([state.anchors, np.zeros(3)]),
-        rays=np.vstack([state.rays, np.column_stack([pointing, prior.inverse])]),
+        inverse_depth=np.vstack([state.inverse_depth, np.column_stack([pointing, prior.inverse])]),
         anchor_of=np.concatenate([state.anchor_of, np.full(len(ids), len(state.anchors))]),
         ids=np.concatenate([state.ids[:split], ids, state.ids[split:]]),
         covariance=selected(covariance, order),

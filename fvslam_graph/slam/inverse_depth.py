@@ -18,11 +18,11 @@ _LEAST_INVERSE_DEPTH = 1e-9  # 1/m, beyond which distances are not computed
 def direction(azimuth: Array, elevation: Array) -> tuple[Array, Array]:
     """Unit vectors (N, 3) and their Jacobian (N, 3, 2); azimuth is to the right, elevation upwards, radians."""
     sin_a, cos_a, sin_e, cos_e = np.sin(azimuth), np.cos(azimuth), np.sin(elevation), np.cos(elevation)
-    unit, by_angles = np.empty((len(azimuth), 3)), np.zeros((len(azimuth), 3, 2))
+    unit, J_angles = np.empty((len(azimuth), 3)), np.zeros((len(azimuth), 3, 2))
     unit[:, 0], unit[:, 1], unit[:, 2] = cos_e * sin_a, -sin_e, cos_e * cos_a
-    by_angles[:, 0, 0], by_angles[:, 2, 0] = unit[:, 2], -unit[:, 0]
-    by_angles[:, 0, 1], by_angles[:, 1, 1], by_angles[:, 2, 1] = -sin_e * sin_a, -cos_e, -sin_e * cos_a
-    return unit, by_angles
+    J_angles[:, 0, 0], J_angles[:, 2, 0] = unit[:, 2], -unit[:, 0]
+    J_angles[:, 0, 1], J_angles[:, 1, 1], J_angles[:, 2, 1] = -sin_e * sin_a, -cos_e, -sin_e * cos_a
+    return unit, J_angles
 
 
 def angles(vectors: Array) -> tuple[Array, Array]:
@@ -39,21 +39,21 @@ def angles(vectors: Array) -> tuple[Array, Array]:
 
 def scaled_points(inverse: Array) -> tuple[Array, Array]:
     """Landmarks (M, 6) as points times their inverse depth, (M, 3), which exist at infinity too; Jacobian (M, 3, 6)."""
-    unit, by_angles = direction(inverse[:, 3], inverse[:, 4])
+    unit, J_angles = direction(inverse[:, 3], inverse[:, 4])
     jacobian = np.zeros((len(inverse), 3, 6))
     jacobian[:, :, :3] = inverse[:, 5, None, None] * np.eye(3)
-    jacobian[:, :, 3:5] = by_angles
+    jacobian[:, :, 3:5] = J_angles
     jacobian[:, :, 5] = inverse[:, :3]
     return inverse[:, 5, None] * inverse[:, :3] + unit, jacobian
 
 
 def to_points(inverse: Array) -> tuple[Array, Array]:
     """Landmarks (M, 6) as points (M, 3), metres, and their Jacobian (M, 3, 6); at infinity they are far away."""
-    unit, by_angles = direction(inverse[:, 3], inverse[:, 4])
+    unit, J_angles = direction(inverse[:, 3], inverse[:, 4])
     depth = 1 / np.maximum(inverse[:, 5], _LEAST_INVERSE_DEPTH)
     jacobian = np.zeros((len(inverse), 3, 6))
     jacobian[:, :, :3] = np.eye(3)
-    jacobian[:, :, 3:5] = depth[:, None, None] * by_angles
+    jacobian[:, :, 3:5] = depth[:, None, None] * J_angles
     jacobian[:, :, 5] = -(depth**2)[:, None] * unit
     return inverse[:, :3] + depth[:, None] * unit, jacobian
 
@@ -70,30 +70,30 @@ def points_seen_from(points: Array, rotation: Array, translation: Array) -> tupl
         (N, 3, 3).
     """
     seen = (points - translation) @ rotation
-    by_motion = np.zeros((len(points), 3, 6))
-    by_motion[:, :, :3], by_motion[:, :, 3:] = hat(seen), -np.eye(3)
-    return seen, by_motion, np.broadcast_to(rotation.T, (len(points), 3, 3))
+    J_motion = np.zeros((len(points), 3, 6))
+    J_motion[:, :, :3], J_motion[:, :, 3:] = hat(seen), -np.eye(3)
+    return seen, J_motion, np.broadcast_to(rotation.T, (len(points), 3, 3))
 
 
-def rays_seen_from(rays: Array, rotation: Array) -> tuple[Array, Array, Array]:
+def inverse_depth_seen_from(inverse_depth: Array, rotation: Array) -> tuple[Array, Array, Array]:
     """Azimuths, elevations and inverse depths (M, 3) in a camera that moved; only its rotation matters.
 
     Args:
-        rays: (M, 3) in the previous camera.
+        inverse_depth: (M, 3) in the previous camera.
         rotation: (3, 3) of prev_T_cur.
 
     Returns:
-        (M, 3) in the current camera, its Jacobians by the right perturbation of prev_T_cur (M, 3, 6) and by `rays`
-        (M, 3, 3).
+        (M, 3) in the current camera, its Jacobians by the right perturbation of prev_T_cur (M, 3, 6) and by the
+        arguments (M, 3, 3).
     """
-    unit, by_angles = direction(rays[:, 0], rays[:, 1])
+    unit, J_angles = direction(inverse_depth[:, 0], inverse_depth[:, 1])
     seen = unit @ rotation
-    pointing, by_seen = angles(seen)
-    by_motion, by_rays = np.zeros((len(rays), 3, 6)), np.zeros((len(rays), 3, 3))
-    by_motion[:, :2, :3] = by_seen @ hat(seen)
-    by_rays[:, :2, :2] = by_seen @ rotation.T @ by_angles
-    by_rays[:, 2, 2] = 1.0
-    return np.column_stack([pointing, rays[:, 2]]), by_motion, by_rays
+    pointing, J_seen = angles(seen)
+    J_motion, J_inverse_depth = np.zeros((len(inverse_depth), 3, 6)), np.zeros((len(inverse_depth), 3, 3))
+    J_motion[:, :2, :3] = J_seen @ hat(seen)
+    J_inverse_depth[:, :2, :2] = J_seen @ rotation.T @ J_angles
+    J_inverse_depth[:, 2, 2] = 1.0
+    return np.column_stack([pointing, inverse_depth[:, 2]]), J_motion, J_inverse_depth
 
 
 def linearity_index(inverse: Array, sigma: Array) -> Array:

@@ -50,7 +50,7 @@ class MapManager:
         self._share = 1.0  # of the map that a frame measures
         self.distance = settings.unknown_distance  # metres, typical of what was seen last
 
-    def tidied(self, state: State, searched: LandmarkMatches) -> State:
+    def prune(self, state: State, searched: LandmarkMatches) -> State:
         """Without landmarks out of view and those rarely measured; those known well enough become points.
 
         Args:
@@ -63,11 +63,13 @@ class MapManager:
         self.records = self.records.counted(state.ids, in_view, searched.measured)
         mine = self.records.of(state.ids)
         rare = (mine.expected >= TRIALS) & (mine.measured < MIN_SUCCESS * mine.expected)
-        _, rays, _ = state.parts
-        index = linearity_index(state.inverse, np.sqrt(np.diagonal(state.covariance)[rays[:, 2]]))
-        return state.reduced(in_view & ~rare, (index < LINEARITY) & (state.rays[:, 2] > 0))
+        _, inverse_depth, _ = state.parts
+        index = linearity_index(
+            state.anchored_inverse_depth, np.sqrt(np.diagonal(state.covariance)[inverse_depth[:, 2]])
+        )
+        return state.without(~in_view | rare, (index < LINEARITY) & (state.inverse_depth[:, 2] > 0))
 
-    def grown(self, state: State, frame: Frame, points: KnownPoints | None, map_T_camera: gtsam.Pose3) -> State:
+    def add_landmarks(self, state: State, frame: Frame, points: KnownPoints | None, map_T_camera: gtsam.Pose3) -> State:
         """With as many landmarks that begin at this frame, away from those that exist, as the next frame may lack.
 
         Args:

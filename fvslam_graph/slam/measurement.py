@@ -10,9 +10,9 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.slam.covariances import each_transformed, innovation, sparse_rows
+from fvslam_graph.slam.covariances import each_transformed, innovation_covariance, sparse_rows
 from fvslam_graph.slam.inverse_depth import Array, hat, scaled_points
-from fvslam_graph.slam.motion import travelled
+from fvslam_graph.slam.motion import motion_from_velocity
 from fvslam_graph.slam.state import FIXED, VELOCITY, State
 
 GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom, as a pixel has
@@ -44,35 +44,35 @@ class Prediction:
 
     def innovation_covariances(self, state: State, chosen: NDArray[np.bool_], sigma: float) -> Array:
         """(K, 2, 2) of each chosen pixel on its own, with the deviation `sigma` of a match, pixels^2."""
-        whole = each_transformed(state.covariance, self.blocks[chosen], self.columns[chosen]) + sigma**2 * np.eye(2)
-        return (whole + whole.mT) / 2
+        S = each_transformed(state.covariance, self.blocks[chosen], self.columns[chosen]) + sigma**2 * np.eye(2)
+        return (S + S.mT) / 2
 
 
 def predict_pixels(state: State, seconds: float, camera: Camera) -> Prediction:
     """Pixels of all landmarks after the step that the state's velocity says, with their Jacobian."""
-    prev_T_cur, by_velocity = travelled(state.velocity, seconds)
+    prev_T_cur, J_velocity = motion_from_velocity(state.velocity, seconds)
     rotation, translation = prev_T_cur.rotation().matrix(), prev_T_cur.translation()
     # Landmarks as points times a weight, which is the inverse depth, or 1.
-    scaled, by_scaled = scaled_points(state.inverse)
+    scaled, J_scaled = scaled_points(state.anchored_inverse_depth)
     split = len(scaled)
-    weights = np.concatenate([state.inverse[:, 5], np.ones(len(state.points))])
+    weights = np.concatenate([state.anchored_inverse_depth[:, 5], np.ones(len(state.points))])
     seen = (np.vstack([scaled, state.points]) - weights[:, None] * translation) @ rotation
     in_front = seen[:, 2] > 0
     depth = np.where(in_front, seen[:, 2], 1.0)
     pixels = seen[:, :2] / depth[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
-    by_seen = np.zeros((len(seen), 2, 3))
-    by_seen[:, 0, 0], by_seen[:, 1, 1] = camera.fx / depth, camera.fy / depth
-    by_seen[:, 0, 2], by_seen[:, 1, 2] = -camera.fx * seen[:, 0] / depth**2, -camera.fy * seen[:, 1] / depth**2
+    J_seen = np.zeros((len(seen), 2, 3))
+    J_seen[:, 0, 0], J_seen[:, 1, 1] = camera.fx / depth, camera.fy / depth
+    J_seen[:, 0, 2], J_seen[:, 1, 2] = -camera.fx * seen[:, 0] / depth**2, -camera.fy * seen[:, 1] / depth**2
     # A pose perturbed by (w, v) on the right sees the point y with weight r at y + [y]x w - r v.
-    seen_by_motion = np.zeros((len(seen), 3, 6))
-    seen_by_motion[:, :, :3] = hat(seen)
-    seen_by_motion[:, :, 3:] = -weights[:, None, None] * np.eye(3)
-    by_landmark = np.zeros((len(seen), 3, 6))
-    by_landmark[:split], by_landmark[split:, :, 3:] = by_scaled, np.eye(3)
-    by_landmark[:split, :, 5] -= translation
+    J_seen_motion = np.zeros((len(seen), 3, 6))
+    J_seen_motion[:, :, :3] = hat(seen)
+    J_seen_motion[:, :, 3:] = -weights[:, None, None] * np.eye(3)
+    J_landmark = np.zeros((len(seen), 3, 6))
+    J_landmark[:split], J_landmark[split:, :, 3:] = J_scaled, np.eye(3)
+    J_landmark[:split, :, 5] -= translation
     blocks, columns = np.empty((len(seen), 2, 12)), np.empty((len(seen), 12), np.intp)
-    blocks[:, :, :6], blocks[:, :, 6:] = by_seen @ (seen_by_motion @ by_velocity), by_seen @ rotation.T @ by_landmark
+    blocks[:, :, :6], blocks[:, :, 6:] = J_seen @ (J_seen_motion @ J_velocity), J_seen @ rotation.T @ J_landmark
     columns[:, :6], columns[:, 6:] = np.arange(FIXED)[VELOCITY], state.columns
     return Prediction(pixels, in_front, blocks, columns, len(state.covariance))
 
@@ -88,7 +88,7 @@ def update(
 ) -> tuple[State, Prediction]:
     """The iterated EKF update (Bar-Shalom, Li, Kirubarajan 2001, section 10.5.2) with matched landmarks.
 
-    With S = L L^T (`root`) and Y = L^-1 H P, the covariance becomes P - Y^T Y, which is symmetric to the bit.
+    With S = L L^T and Y = L^-1 H P, the covariance becomes P - Y^T Y, which is symmetric to the bit.
 
     Args:
         state: Predicted, or updated with other matches.
@@ -107,16 +107,16 @@ def update(
     origin, error = state, np.zeros(len(state.covariance))
     for _ in range(MAX_ITERATIONS):
         jacobian, expected = prediction.jacobian(chosen), prediction.pixels
-        product, spread = innovation(jacobian, origin.covariance, sigma)
-        root = np.linalg.cholesky(spread)
-        surprise = (pixels - expected)[chosen].ravel() + jacobian @ error
-        error = product.T @ scipy.linalg.cho_solve((root, True), surprise, check_finite=False)
-        state = origin.moved(error)
+        HP, S = innovation_covariance(jacobian, origin.covariance, sigma)
+        L = np.linalg.cholesky(S)
+        innovation = (pixels - expected)[chosen].ravel() + jacobian @ error
+        error = HP.T @ scipy.linalg.cho_solve((L, True), innovation, check_finite=False)
+        state = origin.retract(error)
         prediction = predict_pixels(state, seconds, camera)
-        linear = surprise - jacobian @ error
+        linear = innovation - jacobian @ error
         if np.abs((pixels - prediction.pixels)[chosen].ravel() - linear).max() < CONVERGED * sigma:
             break
-    gain = scipy.linalg.solve_triangular(root, product, lower=True, check_finite=False)
-    covariance = gain.T @ gain
+    Y = scipy.linalg.solve_triangular(L, HP, lower=True, check_finite=False)
+    covariance = Y.T @ Y
     np.subtract(origin.covariance, covariance, out=covariance)  # in place: new memory costs more than the arithmetic
     return replace(state, covariance=covariance), prediction

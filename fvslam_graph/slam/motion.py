@@ -10,19 +10,21 @@ import numpy as np
 from fvslam_graph.core.config import SlamSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.slam.covariances import sparse_rows, symmetric, transformed
-from fvslam_graph.slam.inverse_depth import Array, points_seen_from, rays_seen_from
+from fvslam_graph.slam.inverse_depth import Array, inverse_depth_seen_from, points_seen_from
 from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State
 
 SCALE_WALK = 0.04  # of log scale
 
 
-def predict_constant_velocity(state: State, seconds: float, settings: SlamSettings, surprise: float = 1.0) -> State:
-    """The velocity of the next step: that of the last one, driven by white noise `surprise` times as strong as usual.
+def predict_constant_velocity(
+    state: State, seconds: float, settings: SlamSettings, noise_inflation: float = 1.0
+) -> State:
+    """The velocity of the next step: that of the last one, driven by white noise, `noise_inflation` times the usual.
 
     The variance grows with the time, so that it does not depend on the frame rate (Bar-Shalom, Li, Kirubarajan 2001,
     section 6.2.2: the noise has a power spectral density, in m^2/s^3 and rad^2/s^3).
     """
-    densities = (surprise * np.repeat([settings.angular_noise, settings.linear_noise], 3)) ** 2
+    densities = (noise_inflation * np.repeat([settings.angular_noise, settings.linear_noise], 3)) ** 2
     covariance = state.covariance.copy()
     covariance[VELOCITY, VELOCITY] += np.diag(densities * seconds)
     return replace(state, covariance=covariance)
@@ -42,18 +44,18 @@ def with_scale_walk(state: State, renewed: float) -> State:
 def predict_from_odometry(state: State, prev_T_cur: GaussianPose, seconds: float) -> State:
     """The velocity of the next step: what visual odometry measured over it (Alcantarilla et al. 2010)."""
     velocity = gtsam.Pose3.Logmap(prev_T_cur.mean) / seconds
-    by_motion = gtsam.Pose3.LogmapDerivative(prev_T_cur.mean) / seconds
+    J_motion = gtsam.Pose3.LogmapDerivative(prev_T_cur.mean) / seconds
     # Odometry is metric: in units of the map, it is as uncertain as these.
-    by_scale = -velocity * (0, 0, 0, 1, 1, 1)
-    whole = state.covariance.copy()
-    whole[VELOCITY] = np.outer(by_scale, whole[SCALE])
-    whole[:, VELOCITY] = whole[VELOCITY].T
-    own = whole[SCALE, SCALE] * np.outer(by_scale, by_scale) + by_motion @ prev_T_cur.covariance @ by_motion.T
-    whole[VELOCITY, VELOCITY] = symmetric(own)
-    return replace(state, velocity=velocity, covariance=whole)
+    J_scale = -velocity * (0, 0, 0, 1, 1, 1)
+    P = state.covariance.copy()
+    P[VELOCITY] = np.outer(J_scale, P[SCALE])
+    P[:, VELOCITY] = P[VELOCITY].T
+    P_new = P[SCALE, SCALE] * np.outer(J_scale, J_scale) + J_motion @ prev_T_cur.covariance @ J_motion.T
+    P[VELOCITY, VELOCITY] = symmetric(P_new)
+    return replace(state, velocity=velocity, covariance=P)
 
 
-def travelled(velocity: Array, seconds: float) -> tuple[gtsam.Pose3, Array]:
+def motion_from_velocity(velocity: Array, seconds: float) -> tuple[gtsam.Pose3, Array]:
     """prev_T_cur of a velocity (6,) over a time, and the Jacobian (6, 6) of its right perturbation by the velocity."""
     twist = velocity * seconds
     return gtsam.Pose3.Expmap(twist), gtsam.Pose3.ExpmapDerivative(twist) * seconds
@@ -61,26 +63,26 @@ def travelled(velocity: Array, seconds: float) -> tuple[gtsam.Pose3, Array]:
 
 def compose(state: State, seconds: float) -> State:
     """The state as seen from the camera after its step: pose, landmarks and all covariances move along."""
-    prev_T_cur, by_velocity = travelled(state.velocity, seconds)
+    prev_T_cur, J_velocity = motion_from_velocity(state.velocity, seconds)
     rotation, translation = prev_T_cur.rotation().matrix(), prev_T_cur.translation()
-    anchors, *anchors_by = points_seen_from(state.anchors, rotation, translation)
-    rays, *rays_by = rays_seen_from(state.rays, rotation)
-    points, *points_by = points_seen_from(state.points, rotation, translation)
+    anchors, *J_anchors = points_seen_from(state.anchors, rotation, translation)
+    inverse_depth, *J_inverse_depth = inverse_depth_seen_from(state.inverse_depth, rotation)
+    points, *J_points = points_seen_from(state.points, rotation, translation)
 
     fixed = np.arange(FIXED)[None]
-    by_scale = np.concatenate([np.zeros(3), translation @ rotation])[:, None]
+    J_scale = np.concatenate([np.zeros(3), translation @ rotation])[:, None]
     change = [
-        (np.hstack([prev_T_cur.inverse().AdjointMap(), by_scale, by_velocity])[None], fixed),
+        (np.hstack([prev_T_cur.inverse().AdjointMap(), J_scale, J_velocity])[None], fixed),
         (np.eye(FIXED)[None, SCALE:], fixed),
     ]
-    for (by_motion, by_part), rows in zip((anchors_by, rays_by, points_by), state.parts, strict=True):
+    for (J_motion, J_part), rows in zip((J_anchors, J_inverse_depth, J_points), state.parts, strict=True):
         columns = np.hstack([np.broadcast_to(fixed[:, VELOCITY], (len(rows), 6)), rows])
-        change.append((np.concatenate([by_motion @ by_velocity, by_part], axis=2), columns))
+        change.append((np.concatenate([J_motion @ J_velocity, J_part], axis=2), columns))
     return replace(
         state,
         world_T_camera=state.world_T_camera.compose(prev_T_cur),
         anchors=anchors,
-        rays=rays,
+        inverse_depth=inverse_depth,
         points=points,
         covariance=transformed(state.covariance, sparse_rows(change, len(state.covariance))),
     )
@@ -88,9 +90,9 @@ def compose(state: State, seconds: float) -> State:
 
 def last_motion(state: State, seconds: float) -> GaussianPose:
     """prev_T_cur of the step that the state has made."""
-    prev_T_cur, by_velocity = travelled(state.velocity, seconds)
-    by_scale = np.concatenate([np.zeros(3), prev_T_cur.rotation().unrotate(prev_T_cur.translation())])
-    jacobian = np.column_stack([by_scale, by_velocity])
+    prev_T_cur, J_velocity = motion_from_velocity(state.velocity, seconds)
+    J_scale = np.concatenate([np.zeros(3), prev_T_cur.rotation().unrotate(prev_T_cur.translation())])
+    jacobian = np.column_stack([J_scale, J_velocity])
     return GaussianPose(prev_T_cur, symmetric(jacobian @ state.covariance[SCALE:FIXED, SCALE:FIXED] @ jacobian.T))
 
 
@@ -99,7 +101,7 @@ def reanchored(state: State, pose: GaussianPose) -> State:
 
     How the new pose's error relates to the map's is not known, so that the two are taken as independent.
     """
-    whole = state.covariance.copy()
-    whole[POSE], whole[:, POSE] = 0.0, 0.0
-    whole[POSE, POSE] = pose.covariance
-    return replace(state, world_T_camera=pose.mean, covariance=whole)
+    P = state.covariance.copy()
+    P[POSE], P[:, POSE] = 0.0, 0.0
+    P[POSE, POSE] = pose.covariance
+    return replace(state, world_T_camera=pose.mean, covariance=P)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.slam.covariances import innovation, inverse_root
+from fvslam_graph.slam.covariances import innovation_covariance, inverse_root
 from fvslam_graph.slam.inverse_depth import Array
 from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels
 from fvslam_graph.slam.state import State
@@ -60,12 +60,12 @@ def low_innovation_inliers(
     if not found.any():
         return found.copy(), 0.0
     candidates = np.flatnonzero(found)
-    product, spread = innovation(prediction.jacobian(found), state.covariance, sigma)
+    HP, S = innovation_covariance(prediction.jacobian(found), state.covariance, sigma)
     off = (pixels - prediction.pixels)[candidates]
 
     sample = rng.permutation(len(candidates))[:SAMPLE]
     rows = (2 * sample[:, None] + (0, 1)).ravel()
-    known, likely = off[sample], spread[np.ix_(rows, rows)]
+    known, likely = off[sample], S[np.ix_(rows, rows)]
     chosen, votes, needed = np.zeros(len(sample), bool), 0.0, len(sample)
     for tried in range(len(sample)):
         if tried >= needed:
@@ -81,38 +81,38 @@ def low_innovation_inliers(
     best = np.zeros(len(candidates), bool)
     best[sample[chosen]] = True
     if len(sample) < len(candidates):
-        best, votes = _agree(best, off, spread, slack)
+        best, votes = _agree(best, off, S, slack)
     # What is left out of a linear model is quadratic in the angle by which the view differs from the expected one.
     if best.any() and (off[best] ** 2).sum(axis=1).max() > slack * camera.fx / 4:
         rows = np.repeat(best, 2)
-        whiten = inverse_root(spread[np.ix_(rows, rows)])
-        error = product[rows].T @ (whiten.T @ (whiten @ off[best].ravel()))
-        there = predict_pixels(state.moved(error), seconds, camera)
+        whiten = inverse_root(S[np.ix_(rows, rows)])
+        error = HP[rows].T @ (whiten.T @ (whiten @ off[best].ravel()))
+        there = predict_pixels(state.retract(error), seconds, camera)
         jacobian = there.jacobian(found)
         off = (pixels - there.pixels)[candidates] + (jacobian @ error).reshape(-1, 2)
-        _, spread = innovation(jacobian, state.covariance, sigma)
-        best, votes = _agree(best, off, spread, slack)
+        _, S = innovation_covariance(jacobian, state.covariance, sigma)
+        best, votes = _agree(best, off, S, slack)
     inliers = found.copy()
     inliers[candidates] = best
     return inliers, votes
 
 
-def _possible(taken: int, off: Array, spread: Array, slack: float) -> NDArray[np.bool_]:
+def _possible(taken: int, off: Array, S: Array, slack: float) -> NDArray[np.bool_]:
     """Which of N matches a single one that is taken as right does not rule out; arguments as for `_agree`."""
-    cross = spread.reshape(len(off), 2, len(off), 2)[:, :, taken]
+    cross = S.reshape(len(off), 2, len(off), 2)[:, :, taken]
     gain = cross @ np.linalg.inv(cross[taken])
-    residual, covariance = off - gain @ off[taken], _blocks(spread) - gain @ cross.mT
+    residual, covariance = off - gain @ off[taken], _blocks(S) - gain @ cross.mT
     residual[taken], covariance[taken] = off[taken], cross[taken]
     return _near(residual, covariance, slack)
 
 
-def _agree(chosen: NDArray[np.bool_], off: Array, spread: Array, slack: float) -> tuple[NDArray[np.bool_], float]:
+def _agree(chosen: NDArray[np.bool_], off: Array, S: Array, slack: float) -> tuple[NDArray[np.bool_], float]:
     """Which of N matches lie where the chosen ones, each of these without itself, lead to; and the sum of their votes.
 
     Args:
         chosen: (N,) bool.
         off: (N, 2) pixels from where they were expected.
-        spread: (2N, 2N) its covariance.
+        S: (2N, 2N) its covariance.
         slack: Pixels of tolerance.
     """
     if not chosen.any():
@@ -120,15 +120,15 @@ def _agree(chosen: NDArray[np.bool_], off: Array, spread: Array, slack: float) -
     inside, outside = np.repeat(chosen, 2), np.repeat(~chosen, 2)
     residual, covariance = np.empty_like(off), np.empty((len(chosen), 2, 2))
     # The inverse of the Cholesky factor makes the chosen ones independent of each other.
-    whiten = inverse_root(spread[np.ix_(inside, inside)])
+    whiten = inverse_root(S[np.ix_(inside, inside)])
     white = whiten @ off[chosen].ravel()
     # Each chosen one given the rest of them (leave one out), by the inverse of its block of the information.
     rows = whiten.T.reshape(-1, 2, len(white))
     covariance[chosen] = np.linalg.inv(rows @ rows.mT)
     residual[chosen] = (covariance[chosen] @ (rows @ white)[:, :, None])[:, :, 0]
     # The others given the chosen ones.
-    rows = (spread[np.ix_(outside, inside)] @ whiten.T).reshape(-1, 2, len(white))
-    covariance[~chosen] = _blocks(spread)[~chosen] - rows @ rows.mT
+    rows = (S[np.ix_(outside, inside)] @ whiten.T).reshape(-1, 2, len(white))
+    covariance[~chosen] = _blocks(S)[~chosen] - rows @ rows.mT
     residual[~chosen] = off[~chosen] - rows @ white
 
     agree = _near(residual, covariance, slack)

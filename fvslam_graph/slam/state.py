@@ -41,7 +41,7 @@ class State:
         world_T_camera: Camera pose, metres.
         velocity: (6,) mean twist of the last step in the camera: rotation (rad/s), translation (m/s).
         anchors: (A, 3) camera centres from which landmarks in inverse depth were first seen, in the camera, metres.
-        rays: (M, 3) azimuth, elevation and inverse depth of these landmarks from there, see `landmarks`.
+        inverse_depth: (M, 3) azimuth, elevation and inverse depth of these landmarks from there, see `landmarks`.
         anchor_of: (M,) the row of each one's anchor.
         points: (L, 3) landmarks as points in the camera, metres.
         ids: (M + L,) of all landmarks, in the order of the state.
@@ -51,7 +51,7 @@ class State:
     world_T_camera: gtsam.Pose3
     velocity: Array
     anchors: Array
-    rays: Array
+    inverse_depth: Array
     anchor_of: NDArray[np.intp]
     points: Array
     ids: NDArray[np.int64]
@@ -67,21 +67,21 @@ class State:
     @classmethod
     def at(cls, world_T_camera: gtsam.Pose3, covariance: Array) -> Self:
         """A camera with an empty map and no velocity, at a pose with covariance (6, 6)."""
-        whole = scipy.linalg.block_diag(covariance, np.zeros((FIXED - 6, FIXED - 6)))
+        P = scipy.linalg.block_diag(covariance, np.zeros((FIXED - 6, FIXED - 6)))
         none = np.empty((0, PART))
         ids, rows = np.empty(0, np.int64), np.empty(0, np.intp)
-        return cls(world_T_camera, np.zeros(6), none, none, rows, none, ids, whole)
+        return cls(world_T_camera, np.zeros(6), none, none, rows, none, ids, P)
 
     @cached_property
-    def inverse(self) -> Array:
+    def anchored_inverse_depth(self) -> Array:
         """(M, 6) landmarks in inverse depth, each with its anchor."""
-        return np.hstack([self.anchors[self.anchor_of], self.rays])
+        return np.hstack([self.anchors[self.anchor_of], self.inverse_depth])
 
     @cached_property
     def parts(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Rows of the error state of the anchors (A, 3), the rays (M, 3) and the points (L, 3)."""
         rows = np.arange(FIXED, len(self.covariance)).reshape(-1, PART)
-        first, second = len(self.anchors), len(self.anchors) + len(self.rays)
+        first, second = len(self.anchors), len(self.anchors) + len(self.inverse_depth)
         return rows[:first], rows[first:second], rows[second:]
 
     @cached_property
@@ -91,10 +91,13 @@ class State:
         A point has no anchor. Its first three are the row of the scale, by which no Jacobian of a landmark is other
         than zero, so that all landmarks are alike.
         """
-        anchors, rays, points = self.parts
+        anchors, inverse_depth, points = self.parts
         columns = np.full((len(self), 2 * PART), SCALE)
-        columns[: len(rays), :PART], columns[: len(rays), PART:] = anchors[self.anchor_of], rays
-        columns[len(rays) :, PART:] = points
+        columns[: len(inverse_depth), :PART], columns[: len(inverse_depth), PART:] = (
+            anchors[self.anchor_of],
+            inverse_depth,
+        )
+        columns[len(inverse_depth) :, PART:] = points
         return columns
 
     @cached_property
@@ -103,43 +106,43 @@ class State:
         return np.vstack([self._inverse_as_points[0], self.points])
 
     @cached_property
-    def by_landmark(self) -> Array:
+    def J_landmark(self) -> Array:
         """(M + L, 3, 6) Jacobian of the positions by the landmarks, see `columns`."""
-        by_landmark = np.zeros((len(self), PART, 2 * PART))
-        by_landmark[: len(self.rays)] = self._inverse_as_points[1]
-        by_landmark[len(self.rays) :, :, PART:] = np.eye(PART)
-        return by_landmark
+        J_landmark = np.zeros((len(self), PART, 2 * PART))
+        J_landmark[: len(self.inverse_depth)] = self._inverse_as_points[1]
+        J_landmark[len(self.inverse_depth) :, :, PART:] = np.eye(PART)
+        return J_landmark
 
     @cached_property
     def _inverse_as_points(self) -> tuple[Array, Array]:
-        return to_points(self.inverse)
+        return to_points(self.anchored_inverse_depth)
 
     def position_covariances(self) -> Array:
         """Of the landmarks as points, with what is uncertain of their scale; (M + L, 3, 3)."""
-        jacobian = np.concatenate([self.positions[:, :, None], self.by_landmark], axis=2)
+        jacobian = np.concatenate([self.positions[:, :, None], self.J_landmark], axis=2)
         columns = np.hstack([np.full((len(self), 1), SCALE), self.columns])
         return each_transformed(self.covariance, jacobian, columns)
 
     @property
-    def by_scale(self) -> Array:
+    def J_scale(self) -> Array:
         """(n,) how velocity and landmarks grow with the logarithm of their scale; zero for the pose."""
-        velocity, rays = self.velocity * (0, 0, 0, 1, 1, 1), self.rays * _GROWTH
-        return np.concatenate([np.zeros(7), velocity, self.anchors.ravel(), rays.ravel(), self.points.ravel()])
+        velocity, inverse_depth = self.velocity * (0, 0, 0, 1, 1, 1), self.inverse_depth * _GROWTH
+        return np.concatenate([np.zeros(7), velocity, self.anchors.ravel(), inverse_depth.ravel(), self.points.ravel()])
 
-    def moved(self, error: Array) -> State:
+    def retract(self, error: Array) -> State:
         """The state changed by an error state (n,); the covariance stays."""
         growth = np.exp(error[SCALE])
-        anchors, rays, points = (error[rows] for rows in self.parts)
+        anchors, inverse_depth, points = (error[rows] for rows in self.parts)
         return replace(
             self,
             world_T_camera=self.world_T_camera.retract(error[POSE]),
             velocity=(self.velocity + error[VELOCITY]) * np.repeat([1.0, growth], 3),
             anchors=(self.anchors + anchors) * growth,
-            rays=(self.rays + rays) * growth**_GROWTH,
+            inverse_depth=(self.inverse_depth + inverse_depth) * growth**_GROWTH,
             points=(self.points + points) * growth,
         )
 
-    def with_scale_apart(self) -> State:
+    def with_scale_decoupled(self) -> State:
         """The same state with what is uncertain of the map's scale moved into the row of the scale.
 
         The scale of the map is taken as the weighted mean of the logarithms of all distances. As the growth of
@@ -150,7 +153,7 @@ class State:
         if weight is None:
             return self
         # error' = T error: the scale takes over the mean, and everything else gives it up.
-        growth = self.by_scale
+        growth = self.J_scale
         growth[SCALE] = -1.0
         column = self.covariance @ weight
         change = np.outer(growth, column - 0.5 * (weight @ column) * growth)
@@ -158,41 +161,42 @@ class State:
         np.subtract(self.covariance, change, out=change)
         return replace(self, covariance=change)
 
-    def reduced(self, kept: NDArray[np.bool_], linear: NDArray[np.bool_]) -> State:
-        """The state with some of its landmarks alone, of which some become points.
+    def without(self, dropped: NDArray[np.bool_], linear: NDArray[np.bool_]) -> State:
+        """The state without some of its landmarks; some of the others become points.
 
         Args:
-            kept: (M + L,) which stay.
+            dropped: (M + L,) which go.
             linear: (M,) which of those in inverse depth become points if they stay; they move to the end.
         """
-        if kept.all() and not linear.any():
+        if not dropped.any() and not linear.any():
             return self
-        split = len(self.rays)
-        turned, rays, points = kept[:split] & linear, kept[:split] & ~linear, kept[split:]
+        kept = ~dropped
+        split = len(self.inverse_depth)
+        turned, staying, points = kept[:split] & linear, kept[:split] & ~linear, kept[split:]
         used = np.zeros(len(self.anchors), bool)
-        used[self.anchor_of[rays]] = True
-        rows = np.concatenate([np.ones(FIXED, bool), np.repeat(np.concatenate([used, rays, points]), PART)])
-        new, by_inverse = (part[turned] for part in self._inverse_as_points)
+        used[self.anchor_of[staying]] = True
+        rows = np.concatenate([np.ones(FIXED, bool), np.repeat(np.concatenate([used, staying, points]), PART)])
+        new, J_inverse = (part[turned] for part in self._inverse_as_points)
         columns = self.columns[:split][turned]
-        cross = (by_inverse @ self.covariance[columns]).reshape(new.size, len(self.covariance))
-        own = (by_inverse @ cross.T[columns]).reshape(new.size, new.size)
+        cross = (J_inverse @ self.covariance[columns]).reshape(new.size, len(self.covariance))
+        P_new = (J_inverse @ cross.T[columns]).reshape(new.size, new.size)
         return replace(
             self,
             anchors=self.anchors[used],
-            rays=self.rays[rays],
-            anchor_of=(np.cumsum(used) - 1)[self.anchor_of[rays]],
+            inverse_depth=self.inverse_depth[staying],
+            anchor_of=(np.cumsum(used) - 1)[self.anchor_of[staying]],
             points=np.vstack([self.points[points], new]),
-            ids=np.concatenate([self.ids[:split][rays], self.ids[split:][points], self.ids[:split][turned]]),
-            covariance=extended(selected(self.covariance, rows), cross[:, rows], own),
+            ids=np.concatenate([self.ids[:split][staying], self.ids[split:][points], self.ids[:split][turned]]),
+            covariance=extended(selected(self.covariance, rows), cross[:, rows], P_new),
         )
 
     def log_distances(self) -> tuple[NDArray[np.bool_], Array, Array]:
         """Which landmarks are in front of the camera (N,), all log distances (N,) and Jacobians (N, 6) by `columns`."""
         points = self.positions
         front = points[:, 2] > 0
-        front[: len(self.rays)] &= self.rays[:, 2] > 0
+        front[: len(self.inverse_depth)] &= self.inverse_depth[:, 2] > 0
         square = np.maximum((points**2).sum(axis=1), 1e-18)
-        jacobian = (points / square[:, None])[:, None] @ self.by_landmark
+        jacobian = (points / square[:, None])[:, None] @ self.J_landmark
         return front, 0.5 * np.log(square), jacobian[:, 0]
 
     def _mean_log_distance(self) -> Array | None:

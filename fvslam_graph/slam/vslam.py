@@ -28,10 +28,10 @@ from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels, upda
 from fvslam_graph.slam.motion import (
     compose,
     last_motion,
+    motion_from_velocity,
     predict_constant_velocity,
     predict_from_odometry,
     reanchored,
-    travelled,
     with_scale_walk,
 )
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
@@ -40,7 +40,7 @@ from fvslam_graph.slam.state import POSE, SCALE, VELOCITY, State
 
 PATIENCE = 3  # images in a row without enough matches before the map is rebuilt
 MIN_CANDIDATES = 10  # corners that an image has at least, for a map to be built on it
-SURPRISE = 4.0  # an image that did not fit the map may have been a motion that the noise does not allow for
+NOISE_INFLATION = 4.0  # an image that did not fit the map may have been a motion that the noise does not allow for
 MEMORY = 3.0  # seconds for which a lost map is looked for,
 MIN_SHARE = 0.4  # and of its landmarks that have to be measured then
 UNKNOWN_SCALE = 0.7  # of log scale: scenes are as far away as the last one within a factor of two
@@ -106,7 +106,7 @@ class VSlam:
         self._stopwatch = Stopwatch()
         self._failures, self._seen = 0, None
         state = predict_from_odometry(State.at(pose.mean, pose.covariance), prev_T_cur, seconds)
-        state = self._map.grown(state, frame, points, self._map_T_camera)
+        state = self._map.add_landmarks(state, frame, points, self._map_T_camera)
         return self._arrive(frame, state, prev_T_cur, LandmarkMatches.none(), Status.TRACKED, frame.index)
 
     @_BLAS.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
@@ -123,9 +123,9 @@ class VSlam:
         """
         assert self._state is not None, "start comes first"
         self._stopwatch = Stopwatch()
-        surprise = SURPRISE if self._failures else 1.0
+        noise_inflation = NOISE_INFLATION if self._failures else 1.0
         before = Remembered(self._state, self._map_T_camera, self.index, self._stamp)
-        sighting = self._sight(frame, before, odometry, points, surprise)
+        sighting = self._sight(frame, before, odometry, points, noise_inflation)
         if odometry is None and (found := self._found_again(frame)) is not None:
             sighting, self._lost = found, None
         self._map_T_camera = sighting.map_T_camera
@@ -152,7 +152,7 @@ class VSlam:
         before: Remembered,
         odometry: GaussianPose | None,
         points: KnownPoints | None,
-        surprise: float,
+        noise_inflation: float,
     ) -> Sighting:
         """Step from an earlier state into the new camera, by what the image shows of its map; arguments of `step`."""
         seconds, sigma = frame.stamp - before.stamp, self.settings.pixel_sigma
@@ -160,7 +160,7 @@ class VSlam:
         # Predict the motion, and where it leads the landmarks to.
         with self._stopwatch.stage("filter"):
             if odometry is None:
-                state = predict_constant_velocity(before.state, seconds, self.settings, surprise)
+                state = predict_constant_velocity(before.state, seconds, self.settings, noise_inflation)
             else:
                 state = predict_from_odometry(before.state, odometry, seconds)
             prediction = predict_pixels(state, seconds, self.camera)
@@ -169,7 +169,7 @@ class VSlam:
 
         # Look for each landmark inside its ellipse.
         with self._stopwatch.stage("search"):
-            prev_T_cur, _ = travelled(state.velocity, seconds)
+            prev_T_cur, _ = motion_from_velocity(state.velocity, seconds)
             map_T_camera = before.map_T_camera.compose(prev_T_cur)
             followed = self._map.followed(state, points)
             pixels, found = self._search(
@@ -190,7 +190,7 @@ class VSlam:
                 state, _ = update(state, updated, rescued, pixels, seconds, self.camera, sigma)
 
             # Step into the new camera.
-            prev_T_cur, _ = travelled(state.velocity, seconds)
+            prev_T_cur, _ = motion_from_velocity(state.velocity, seconds)
             state = compose(state, seconds)
             motion = last_motion(state, seconds)
 
@@ -211,7 +211,7 @@ class VSlam:
         if frame.stamp - self._lost.stamp > MEMORY:
             self._lost = None
             return None
-        sighting = self._sight(frame, self._lost, None, None, SURPRISE)
+        sighting = self._sight(frame, self._lost, None, None, NOISE_INFLATION)
         measured = int(sighting.searched.measured.sum())
         return sighting if not sighting.lost and measured >= MIN_SHARE * len(sighting.searched) else None
 
@@ -245,8 +245,8 @@ class VSlam:
         """Which of the rest (N,) lie within what the updated state predicts."""
         agree = rest & prediction.in_front
         innovation = (pixels - prediction.pixels)[agree]
-        spread = prediction.innovation_covariances(state, agree, self.settings.pixel_sigma)
-        distance = (innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0]).sum(axis=1)
+        S = prediction.innovation_covariances(state, agree, self.settings.pixel_sigma)
+        distance = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(axis=1)
         agree[agree] = distance < GATE
         return agree
 
@@ -269,12 +269,12 @@ class VSlam:
     ) -> State:
         """The state with its map as the next frame needs it."""
         if status is Status.TRACKED:
-            state = self._map.tidied(state, searched)
+            state = self._map.prune(state, searched)
         elif status is Status.REINITIALISED:
             state = self._forgotten(state)
         else:
             return state
-        return self._map.grown(state, frame, points, self._map_T_camera)
+        return self._map.add_landmarks(state, frame, points, self._map_T_camera)
 
     def _forgotten(self, state: State) -> State:
         """The pose, which the camera may have been carried from, and what is left of the velocity, without a map.
@@ -301,7 +301,7 @@ class VSlam:
         previous: int,
     ) -> SlamEstimate:
         """Take over the state in the new camera, and say what it is."""
-        self._state = state = state.with_scale_apart()
+        self._state = state = state.with_scale_decoupled()
         self.index, self._stamp = frame.index, frame.stamp
         return SlamEstimate(
             index=frame.index,

@@ -59,13 +59,13 @@ class AbsolutePose:
         pose: keyframe_T_cur and its covariance.
         agree: (N,) which tracks agree.
         noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
-        by_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
+        J_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
     """
 
     pose: GaussianPose
     agree: NDArray[np.bool_]
     noise: float
-    by_calibration: Array
+    J_calibration: Array
 
     @property
     def direction_covariance(self) -> Array:
@@ -98,26 +98,26 @@ def refine_absolute_pose(
     for width in WIDTHS:
         errors = reprojection_errors(keyframe_T_cur, rays, tracks, depths, camera, width * noise)
         weight = errors.agree / (1 + errors.squares / KERNEL**2)
-        jacobian = errors.by_pose.reshape(-1, 6)
+        jacobian = errors.J_pose.reshape(-1, 6)
         weighted = np.repeat(weight, 2)[:, None] * jacobian
         information = weighted.T @ jacobian
         if not np.linalg.cond(information) < 1e14:
             return None
         keyframe_T_cur = keyframe_T_cur.retract(-np.linalg.solve(information, weighted.T @ errors.values.ravel()))
-        noise = float(np.clip(width * noise * errors.spread, *NOISE))
+        noise = float(np.clip(width * noise * errors.deviation, *NOISE))
     errors = reprojection_errors(keyframe_T_cur, rays, tracks, depths, camera, noise)
     agree = errors.agree
     covariance = m_estimator_covariance(
         errors.values[agree],
-        errors.by_pose[agree],
+        errors.J_pose[agree],
         KERNEL,
         neighbourhoods(tracks.keyframe[agree], camera),
         errors.J_common[agree],
     )
     if covariance is None:
         return None
-    jacobian = errors.by_pose[agree].reshape(-1, 6)
+    jacobian = errors.J_pose[agree].reshape(-1, 6)
     weighted = jacobian / np.repeat(1 + errors.squares[agree] / KERNEL**2, 2)[:, None]
-    pull = weighted.T @ errors.by_calibration[agree].reshape(-1, 2)
-    by_calibration: Array = -np.linalg.inv(weighted.T @ jacobian) @ pull
-    return AbsolutePose(GaussianPose(keyframe_T_cur, covariance), agree, noise, by_calibration)
+    pull = weighted.T @ errors.J_calibration[agree].reshape(-1, 2)
+    J_calibration: Array = -np.linalg.inv(weighted.T @ jacobian) @ pull
+    return AbsolutePose(GaussianPose(keyframe_T_cur, covariance), agree, noise, J_calibration)

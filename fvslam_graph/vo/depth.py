@@ -55,12 +55,12 @@ def triangulate(
     if covariance is None:
         return InverseDepths.independent(ids, values, sigmas)
     # For y = R (1 + [w]x) y0 and b + |b| B d the cross product above changes by (R w x y) x seen - rho y x (|b| B d).
-    by_rotation = -(across @ rotation.matrix()) * (rotated * seen).sum(axis=1)[:, None]
+    J_rotation = -(across @ rotation.matrix()) * (rotated * seen).sum(axis=1)[:, None]
     basis = np.linalg.norm(baseline) * gtsam.Unit3(baseline).basis()
-    by_direction = (values * (rotated @ baseline))[:, None] * (rotated @ basis)
-    by_motion = np.hstack([by_rotation, by_direction]) / square[:, None]
+    J_direction = (values * (rotated @ baseline))[:, None] * (rotated @ basis)
+    J_motion = np.hstack([J_rotation, J_direction]) / square[:, None]
     squares, axes = np.linalg.eigh(covariance)
-    return InverseDepths(ids, values, sigmas, by_motion @ (axes * np.sqrt(np.maximum(squares, 0.0))))
+    return InverseDepths(ids, values, sigmas, J_motion @ (axes * np.sqrt(np.maximum(squares, 0.0))))
 
 
 def typical_depth(

@@ -47,12 +47,12 @@ class RadialDistortion:
             keyframe_T_cur.rotation(),
             keyframe_T_cur.translation() / np.linalg.norm(keyframe_T_cur.translation()),
         )
-        distance, by_motion = epipolar_distance(keyframe, current, rotation, direction, self._camera.fx)
-        by_k1 = calibration_jacobian(keyframe, current, rotation, direction, self._camera.fx)[:, 1]
+        distance, J_motion = epipolar_distance(keyframe, current, rotation, direction, self._camera.fx)
+        J_k1 = calibration_jacobian(keyframe, current, rotation, direction, self._camera.fx)[:, 1]
         square = (distance / LOSS_SCALE) ** 2
         curvature = (1 - square) / (1 + square) ** 2
-        weighted = curvature[:, None] * by_motion
-        own = by_k1 - by_motion @ np.linalg.solve(weighted.T @ by_motion, weighted.T @ by_k1)
+        weighted = curvature[:, None] * J_motion
+        own = J_k1 - J_motion @ np.linalg.solve(weighted.T @ J_motion, weighted.T @ J_k1)
         self._pairs.append((float(own @ (curvature * own)), -float(own @ (distance / (1 + square)))))
 
     def estimate(self) -> tuple[float, float]:

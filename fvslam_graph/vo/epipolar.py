@@ -77,11 +77,11 @@ def calibration_jacobian(
     across = (normal * current[:, :2]).sum(axis=1)
     columns = []
     for bends, stretch in (((1.0, 1.0), 1.0), (squares, squares[1] + 2 * across**2)):
-        by_previous, by_current = (
+        J_previous, J_current = (
             -seen[:, :2] * np.reshape(bend, (-1, 1)) for seen, bend in zip((previous, current), bends, strict=True)
         )
-        by_line = by_previous @ essential[:2]
-        moved = (by_line[:, :2] * foot).sum(axis=1) + by_line[:, 2] + (line[:, :2] * by_current).sum(axis=1)
+        J_line = J_previous @ essential[:2]
+        moved = (J_line[:, :2] * foot).sum(axis=1) + J_line[:, 2] + (line[:, :2] * J_current).sum(axis=1)
         columns.append(weight * moved + distance * stretch)
     return np.column_stack(columns)
 

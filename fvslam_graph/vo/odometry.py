@@ -53,7 +53,7 @@ class _Motion:
         map: Of the keyframe, with what was learnt.
         scale: Of the baseline, where it was estimated.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
-        by_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
+        J_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
     """
 
     keyframe_T_cur: GaussianPose
@@ -61,7 +61,7 @@ class _Motion:
     map: MetricMap
     scale: ScaleStep | None = None
     parallax: float = math.nan
-    by_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
+    J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
 
 
 class VisualOdometry:
@@ -259,8 +259,8 @@ class VisualOdometry:
                 fallback,
                 self._rng,
             )
-        by_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.by_calibration
-        return _Motion(metric_pose(relative_pose, scale.length), tracks, known, scale, by_calibration=by_calibration)
+        J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
+        return _Motion(metric_pose(relative_pose, scale.length), tracks, known, scale, J_calibration=J_calibration)
 
     def _locate(self, tracks: Tracks, known: MetricMap) -> gtsam.Pose3 | None:
         """Roughly where the camera is among the points of known depth."""
@@ -289,7 +289,7 @@ class VisualOdometry:
             known = MetricMap(known.depths.fused(found[found.values > 0]), known.variance)
         # The map's scale is uncertain, and the distance travelled in it likewise.
         pose = refined.pose.with_scale_variance(known.variance)
-        return _Motion(pose, tracks, known, by_calibration=refined.by_calibration)
+        return _Motion(pose, tracks, known, J_calibration=refined.J_calibration)
 
     def _triangulated(
         self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
@@ -319,11 +319,9 @@ class VisualOdometry:
         estimate = self._estimate(frame, motion.keyframe_T_cur, Status.TRACKED)
         mine, theirs = motion.map.depths.match(motion.tracks.ids)
         seen = rays(self.camera, motion.tracks.keyframe[theirs])
-        depths = motion.map.depths[mine].moved(seen, motion.keyframe_T_cur.mean)
+        depths = motion.map.depths[mine].seen_from(seen, motion.keyframe_T_cur.mean)
         here = MetricMap(depths, motion.map.variance)
-        return replace(
-            estimate, tracks=motion.tracks, scale=motion.scale, map=here, by_calibration=motion.by_calibration
-        )
+        return replace(estimate, tracks=motion.tracks, scale=motion.scale, map=here, J_calibration=motion.J_calibration)
 
     def _handle_lost(self, frame: Frame) -> VoEstimate:
         """The image does not fit the keyframe: a bad image is passed over, a changed scene becomes the keyframe."""

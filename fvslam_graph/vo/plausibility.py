@@ -72,9 +72,9 @@ class MotionGate:
             start: and of the keyframe.
             accelerations: (6,) standard deviations, rad/s^2 and m/s^2.
         """
-        error, surprise = _difference(expected, measured)
+        error, innovation = _difference(expected, measured)
         self.insisted = False
-        if surprise > (AGREE if self._refused else GATE):
+        if innovation > (AGREE if self._refused else GATE):
             self._refused = [*self._refused[1 - INSISTENCE :], _Measured(stamp, measured)]
             if not self._insisted(accelerations):
                 return None

@@ -45,7 +45,7 @@ class RelativePose:
             direction in the plane of gtsam.Unit3.basis; radians.
         inliers: (N,) bool, which of the tracks agree.
         noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
-        by_calibration: (5, 2) how the pose changes with the logarithm of the focal length and with k1.
+        J_calibration: (5, 2) how the pose changes with the logarithm of the focal length and with k1.
     """
 
     rotation: gtsam.Rot3
@@ -53,7 +53,7 @@ class RelativePose:
     covariance: NDArray[np.float64]
     inliers: NDArray[np.bool_]
     noise: float
-    by_calibration: NDArray[np.float64]
+    J_calibration: NDArray[np.float64]
 
 
 def estimate_relative_pose(
@@ -115,9 +115,9 @@ def estimate_relative_pose(
     if covariance is None:
         return None
     weighted = best.jacobian[told] / (1 + (best.distance[told, None] / (KERNEL * best.noise)) ** 2)
-    pull = weighted.T @ matches.by_calibration(best.rotation, best.direction)[told]
-    by_calibration = -np.linalg.inv(weighted.T @ best.jacobian[told]) @ pull
-    return RelativePose(best.rotation, best.direction, covariance, inliers, best.noise, by_calibration)
+    pull = weighted.T @ matches.J_calibration(best.rotation, best.direction)[told]
+    J_calibration = -np.linalg.inv(weighted.T @ best.jacobian[told]) @ pull
+    return RelativePose(best.rotation, best.direction, covariance, inliers, best.noise, J_calibration)
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class _Matches:
         """Distances of the current points from their epipolar lines, and their Jacobian."""
         return epipolar_distance(self.previous, self.current, rotation, direction, self.focal, self.tracks.covariances)
 
-    def by_calibration(self, rotation: gtsam.Rot3, direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    def J_calibration(self, rotation: gtsam.Rot3, direction: NDArray[np.float64]) -> NDArray[np.float64]:
         """How these distances change with the calibration."""
         return calibration_jacobian(
             self.previous, self.current, rotation, direction, self.focal, self.tracks.covariances

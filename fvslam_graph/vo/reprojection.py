@@ -25,16 +25,16 @@ class ReprojectionErrors:
 
     Attributes:
         values: (N, 2).
-        by_pose: (N, 2, 6) in the tangent of keyframe_T_cur.
-        by_calibration: (N, 2, 2) with the logarithm of the focal length, and with k1, as in `calibration_jacobian`.
+        J_pose: (N, 2, 6) in the tangent of keyframe_T_cur.
+        J_calibration: (N, 2, 2) with the logarithm of the focal length, and with k1, as in `calibration_jacobian`.
         J_common: (N, 2, S) what each of the errors that depths share adds to them.
         sharp: (N,) whether the texture tells much across the line.
         ahead: (N,) whether the point is seen before the camera, apart from noise.
     """
 
     values: Array
-    by_pose: Array
-    by_calibration: Array
+    J_pose: Array
+    J_calibration: Array
     J_common: Array
     sharp: NDArray[np.bool_]
     ahead: NDArray[np.bool_]
@@ -51,7 +51,7 @@ class ReprojectionErrors:
         return self.ahead & (self.squares < AGREES**2)
 
     @property
-    def spread(self) -> float:
+    def deviation(self) -> float:
         """Robust standard deviation across the lines where texture tells it, of those that agree; 1 if all is right."""
         agree = self.agree
         across = np.abs(self.values[self.sharp & agree if np.any(self.sharp & agree) else agree, 0])
@@ -95,32 +95,32 @@ def reprojection_errors(
 
     x, y = xy.T
     zero = np.zeros_like(x)
-    by_pose = np.empty((len(x), 2, 6))  # a pose perturbed by (w, v) on the right sees the point at p + [p]x w - v
-    by_pose[:, 0] = camera.fx * np.stack([x * y, -(1 + x * x), y, -near, zero, near * x], axis=1)
-    by_pose[:, 1] = camera.fy * np.stack([1 + y * y, -x * y, -x, zero, -near, near * y], axis=1)
+    J_pose = np.empty((len(x), 2, 6))  # a pose perturbed by (w, v) on the right sees the point at p + [p]x w - v
+    J_pose[:, 0] = camera.fx * np.stack([x * y, -(1 + x * x), y, -near, zero, near * x], axis=1)
+    J_pose[:, 1] = camera.fy * np.stack([1 + y * y, -x * y, -x, zero, -near, near * y], axis=1)
 
     # Both rays of a track change by -(x, y) and -(x^2 + y^2) (x, y).
     seen, there = rays[:, :2], (tracks.current - centre) / focal
-    by_calibration = np.empty((len(x), 2, 2))
+    J_calibration = np.empty((len(x), 2, 2))
     for column, (first, second) in enumerate(
         ((-seen, -there), (-(seen**2).sum(axis=1)[:, None] * seen, -(there**2).sum(axis=1)[:, None] * there))
     ):
         change = first @ R[:2]
-        by_calibration[:, :, column] = focal * ((change[:, :2] - xy * change[:, 2:]) / depth[:, None] - second)
+        J_calibration[:, :, column] = focal * ((change[:, :2] - xy * change[:, 2:]) / depth[:, None] - second)
 
     speed = np.linalg.norm(line, axis=1)
     along = np.where(speed[:, None] > 1e-6, line, [1.0, 0.0]) / np.where(speed > 1e-6, speed, 1.0)[:, None]
     axes = np.stack([np.stack([-along[:, 1], along[:, 0]], axis=1), along], axis=1)
-    spread = axes @ tracks.covariances @ axes.mT
+    S = axes @ tracks.covariances @ axes.mT
     # Across, and along given that; a variance of the depth comes to the latter alone.
-    given = spread[:, 0, 1] / spread[:, 0, 0]
-    sigma = np.sqrt(noise**2 * (spread[:, 1, 1] - given * spread[:, 0, 1]) + np.minimum(variance * speed**2, 1e12))
+    given = S[:, 0, 1] / S[:, 0, 0]
+    sigma = np.sqrt(noise**2 * (S[:, 1, 1] - given * S[:, 0, 1]) + np.minimum(variance * speed**2, 1e12))
     white = np.zeros((len(x), 2, 2))
-    white[:, 0, 0] = 1 / (noise * np.sqrt(spread[:, 0, 0]))
+    white[:, 0, 0] = 1 / (noise * np.sqrt(S[:, 0, 0]))
     white[:, 1, 0], white[:, 1, 1] = -given / sigma, 1 / sigma
     white = white @ axes
     J_common = np.zeros((len(x), 2, depths.common.shape[1]))
     J_common[:, 1] = (speed / sigma)[:, None] * depths.common
     values = (white @ error[:, :, None])[:, :, 0]
     ahead = likeliest * speed > -AGREES * noise
-    return ReprojectionErrors(values, white @ by_pose, white @ by_calibration, J_common, spread[:, 0, 0] < 2, ahead)
+    return ReprojectionErrors(values, white @ J_pose, white @ J_calibration, J_common, S[:, 0, 0] < 2, ahead)

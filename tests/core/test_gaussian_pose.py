@@ -40,8 +40,8 @@ def test_without_a_step_nothing_changes():
 def test_inverse():
     pose = GaussianPose(gtsam.Pose3.Expmap(0.3 * np.arange(6.0)), some_covariance(3, 1.0))
     inverse, change = pose.inverse(), 1e-6 * np.eye(6)
-    by_pose = np.column_stack([inverse.mean.localCoordinates(pose.mean.retract(e).inverse()) for e in change]) / 1e-6
-    assert inverse.covariance == pytest.approx(by_pose @ pose.covariance @ by_pose.T, rel=1e-5, abs=1e-5)
+    J_pose = np.column_stack([inverse.mean.localCoordinates(pose.mean.retract(e).inverse()) for e in change]) / 1e-6
+    assert inverse.covariance == pytest.approx(J_pose @ pose.covariance @ J_pose.T, rel=1e-5, abs=1e-5)
     assert inverse.inverse().covariance == pytest.approx(pose.covariance)
 
 

@@ -77,7 +77,7 @@ def step_of(rng: np.random.Generator) -> OdometryStep:
     """A motion to frame 5 that changes with the calibration."""
     root = np.diag(np.repeat([0.003, 0.01], 3)) + 0.0005 * rng.standard_normal((6, 6))
     motion = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.05, 0.1), np.array([0.3, -0.1, 1.5]))
-    return OdometryStep(4, GaussianPose(motion, root @ root.T), by_calibration=0.1 * rng.standard_normal((6, 2)))
+    return OdometryStep(4, GaussianPose(motion, root @ root.T), J_calibration=0.1 * rng.standard_normal((6, 2)))
 
 
 @pytest.mark.parametrize("length", [True, False])
@@ -119,7 +119,7 @@ def test_with_another_calibration_it_is_the_motion_that_odometry_would_have_made
         values.insert(key, value)
     values.insert(CALIBRATION, calibration.start)
     found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-    moved = start.retract(step.by_calibration @ [VALUE.fx() / CAMERA.fx - 1, VALUE.k1()])
+    moved = start.retract(step.J_calibration @ [VALUE.fx() / CAMERA.fx - 1, VALUE.k1()])
     assert graph.error(found) == pytest.approx(0, abs=1e-6)
     assert found.atPose3(pose_key(5)).equals(moved, 1e-4)
     assert found.atPose3(filed_key(5)).equals(start, 1e-5)

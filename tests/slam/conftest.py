@@ -39,12 +39,12 @@ def random_state(camera: Camera) -> Callable[..., State]:
             prior = equal_depths(len(few), 5.0, 0.1, len(state.covariance))
             state = with_new_landmarks(state, few, pixels[few], prior, camera, 0.5)
         anchors = 0.3 * rng.standard_normal(state.anchors.shape)
-        rays = state.rays.copy()
-        rays[:, 2] = rng.uniform(0.05, 0.4, len(rays))
+        inverse_depth = state.inverse_depth.copy()
+        inverse_depth[:, 2] = rng.uniform(0.05, 0.4, len(inverse_depth))
         velocity = np.concatenate([0.5 * rng.standard_normal(3), 2 * rng.standard_normal(3)])
-        state = replace(state, anchors=anchors, rays=rays, velocity=velocity)
+        state = replace(state, anchors=anchors, inverse_depth=inverse_depth, velocity=velocity)
         everything = np.arange(inverse + points)
-        state = state.reduced(everything >= 0, everything >= inverse)
+        state = state.without(everything < 0, everything >= inverse)
         return replace(state, covariance=random_covariance(rng, len(state.covariance), sigma))
 
     return make
@@ -58,7 +58,7 @@ def difference(before: State, after: State) -> Array:
             [0.0],
             after.velocity - before.velocity,
             (after.anchors - before.anchors).ravel(),
-            (after.rays - before.rays).ravel(),
+            (after.inverse_depth - before.inverse_depth).ravel(),
             (after.points - before.points).ravel(),
         ]
     )

@@ -2,7 +2,14 @@
 
 import numpy as np
 
-from fvslam_graph.slam.covariances import each_transformed, extended, innovation, selected, sparse_rows, transformed
+from fvslam_graph.slam.covariances import (
+    each_transformed,
+    extended,
+    innovation_covariance,
+    selected,
+    sparse_rows,
+    transformed,
+)
 
 from .conftest import random_covariance
 
@@ -39,7 +46,7 @@ def test_innovation_is_that_of_dense_matrices():
     rng = np.random.default_rng(2)
     covariance = random_covariance(rng, 5, 1.0)
     jacobian = sparse_rows([(rng.standard_normal((2, 2, 3)), np.array([[0, 1, 2], [0, 3, 4]]))], 5)
-    product, spread = innovation(jacobian, covariance, 0.5)
+    product, spread = innovation_covariance(jacobian, covariance, 0.5)
     dense = jacobian.toarray()
     assert np.allclose(product, dense @ covariance)
     assert np.allclose(spread, dense @ covariance @ dense.T + 0.25 * np.eye(4))

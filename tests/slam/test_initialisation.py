@@ -34,8 +34,8 @@ def test_a_new_landmark_is_where_it_is_seen(random_state, camera):
     spread = predict_pixels(velocity_known, 0.1, camera).innovation_covariances(velocity_known, new, 0.5)
     assert spread == pytest.approx(np.tile(0.5 * np.eye(2), (3, 1, 1)), rel=1e-6, abs=1e-9)
     assert grown.positions[~new] == pytest.approx(state.positions)
-    nothing = np.zeros(len(grown.rays), bool)
-    assert grown.reduced(~new, nothing).covariance == pytest.approx(state.covariance)
+    nothing = np.zeros(len(grown.inverse_depth), bool)
+    assert grown.without(new, nothing).covariance == pytest.approx(state.covariance)
 
 
 def _without_velocity(state):
@@ -51,7 +51,7 @@ def test_depths_from_the_map_depend_on_it(random_state, camera, seed):
 
     def inverse(error):
         # Which landmarks are near in the image is not differentiated: pixels are asked for where the map was.
-        moved = state.moved(error)
+        moved = state.retract(error)
         front, _, _ = state.log_distances()
         apart = PIXELS[:, None] - camera.project(state.positions)
         square = np.where(front, (apart**2).sum(axis=2), np.inf) / (0.1 * camera.width) ** 2
@@ -62,15 +62,15 @@ def test_depths_from_the_map_depend_on_it(random_state, camera, seed):
     assert prior.inverse == pytest.approx(inverse(np.zeros(len(state.covariance))))
     numerical = numeric(inverse, len(state.covariance), 1e-7)
     numerical[:, SCALE] = 0.0  # the map's own units
-    assert agrees(prior.by_state, numerical)
+    assert agrees(prior.J_state, numerical)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_landmarks_as_far_as_the_map_tell_nothing_of_its_scale(random_state, camera, seed):
     """If all lengths of the map grow by a factor, so do those of what begins in it."""
-    state = random_state(seed).with_scale_apart()
+    state = random_state(seed).with_scale_decoupled()
     prior = depths_from_map(state, PIXELS, camera, 0.5)
-    assert prior.by_state @ state.by_scale == pytest.approx(-prior.inverse)
+    assert prior.J_state @ state.J_scale == pytest.approx(-prior.inverse)
     grown = with_new_landmarks(state, IDS, PIXELS, prior, camera, 0.5)
     grown.check()
     assert grown.covariance[SCALE, SCALE] == state.covariance[SCALE, SCALE]
@@ -100,7 +100,7 @@ def test_known_depths_share_the_errors_of_a_motion(random_state, camera):
     grown = with_new_landmarks(state, IDS, PIXELS, known_depths(points, camera, len(state.covariance)), camera, 0.5)
     grown.check()
     stretch = np.linalg.norm(np.column_stack([camera.normalize(PIXELS), np.ones(3)]), axis=1)
-    rows = grown.parts[1][np.isin(grown.ids[: len(grown.rays)], IDS), 2]
+    rows = grown.parts[1][np.isin(grown.ids[: len(grown.inverse_depth)], IDS), 2]
     uncertain_scale = np.outer(points.inverse_depths, points.inverse_depths) * state.covariance[SCALE, SCALE]
     expected = (1e-4 * np.eye(3) + common @ common.T + uncertain_scale) / np.outer(stretch, stretch)
     assert grown.covariance[np.ix_(rows, rows)] == pytest.approx(expected)
@@ -108,6 +108,6 @@ def test_known_depths_share_the_errors_of_a_motion(random_state, camera):
 
 def test_without_a_map_there_is_no_depth_to_take_over(random_state, camera):
     state = random_state(0)
-    empty = state.reduced(np.zeros(len(state), bool), np.zeros(len(state.rays), bool))
+    empty = state.without(np.ones(len(state), bool), np.zeros(len(state.inverse_depth), bool))
     assert depths_from_map(empty, PIXELS, camera, 0.5) is None
-    assert empty.with_scale_apart() is empty
+    assert empty.with_scale_decoupled() is empty

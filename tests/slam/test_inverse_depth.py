@@ -8,9 +8,9 @@ from fvslam_graph.slam.inverse_depth import (
     angles,
     direction,
     hat,
+    inverse_depth_seen_from,
     linearity_index,
     points_seen_from,
-    rays_seen_from,
     scaled_points,
     to_points,
 )
@@ -76,29 +76,29 @@ def test_derivatives_of_a_step(seed):
     landmark, step = some(seed, 1), gtsam.Pose3.Expmap(0.5 * np.random.default_rng(seed).standard_normal(6))
     point, ray = landmark[:, :3], landmark[:, 3:]
 
-    def points(by_motion: np.ndarray, by_point: np.ndarray) -> np.ndarray:
-        pose = step.retract(by_motion)
-        return points_seen_from(point + by_point, pose.rotation().matrix(), pose.translation())[0][0]
+    def points(J_motion: np.ndarray, J_point: np.ndarray) -> np.ndarray:
+        pose = step.retract(J_motion)
+        return points_seen_from(point + J_point, pose.rotation().matrix(), pose.translation())[0][0]
 
-    def rays(by_motion: np.ndarray, by_ray: np.ndarray) -> np.ndarray:
-        return rays_seen_from(ray + by_ray, step.retract(by_motion).rotation().matrix())[0][0]
+    def inverse_depth(J_motion: np.ndarray, J_ray: np.ndarray) -> np.ndarray:
+        return inverse_depth_seen_from(ray + J_ray, step.retract(J_motion).rotation().matrix())[0][0]
 
     rotation = step.rotation().matrix()
-    for moved, (_, by_motion, by_part) in (
+    for moved, (_, J_motion, J_part) in (
         (points, points_seen_from(point, rotation, step.translation())),
-        (rays, rays_seen_from(ray, rotation)),
+        (inverse_depth, inverse_depth_seen_from(ray, rotation)),
     ):
-        assert agrees(by_motion[0], numeric(lambda e, moved=moved: moved(e, np.zeros(3)), 6))
-        assert agrees(by_part[0], numeric(lambda e, moved=moved: moved(np.zeros(6), e), 3))
+        assert agrees(J_motion[0], numeric(lambda e, moved=moved: moved(e, np.zeros(3)), 6))
+        assert agrees(J_part[0], numeric(lambda e, moved=moved: moved(np.zeros(6), e), 3))
 
 
 def test_a_step_moves_landmarks_as_gtsam_does():
     landmarks, step = some(3), gtsam.Pose3.Expmap(np.array([0.2, -0.1, 0.3, 1.0, -2.0, 0.5]))
     anchors, _, _ = points_seen_from(landmarks[:, :3], step.rotation().matrix(), step.translation())
     assert anchors == pytest.approx(step.transformTo(landmarks[:, :3].T).T)
-    rays, _, _ = rays_seen_from(landmarks[:, 3:], step.rotation().matrix())
+    inverse_depth, _, _ = inverse_depth_seen_from(landmarks[:, 3:], step.rotation().matrix())
     expected = step.transformTo(to_points(landmarks)[0].T).T
-    assert to_points(np.hstack([anchors, rays]))[0] == pytest.approx(expected)
+    assert to_points(np.hstack([anchors, inverse_depth]))[0] == pytest.approx(expected)
 
 
 def test_linearity_index_by_hand():

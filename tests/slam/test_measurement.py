@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.slam.measurement import predict_pixels, update
-from fvslam_graph.slam.motion import travelled
+from fvslam_graph.slam.motion import motion_from_velocity
 from fvslam_graph.slam.state import POSE, SCALE
 
 from .conftest import numeric
@@ -23,7 +23,7 @@ def test_derivative_of_pixels(random_state, camera, seed):
     analytic = prediction.jacobian(np.ones(len(state), bool)).toarray()
     step = 1e-7
     numerical = numeric(
-        lambda e: predict_pixels(state.moved(e), SECONDS, camera).pixels.ravel(), len(state.covariance), step
+        lambda e: predict_pixels(state.retract(e), SECONDS, camera).pixels.ravel(), len(state.covariance), step
     )
     scale = np.abs(numerical).max(axis=1, keepdims=True)
     assert np.abs((analytic - numerical) / scale).max() < 1e-6
@@ -33,7 +33,7 @@ def test_derivative_of_pixels(random_state, camera, seed):
 
 def test_pixels_are_the_camera_s(random_state, camera):
     state = random_state(0)
-    prev_T_cur, _ = travelled(state.velocity, SECONDS)
+    prev_T_cur, _ = motion_from_velocity(state.velocity, SECONDS)
     seen = prev_T_cur.transformTo(state.positions.T).T
     prediction = predict_pixels(state, SECONDS, camera)
     assert prediction.pixels == pytest.approx(camera.project(seen))
@@ -59,7 +59,7 @@ def test_update_is_that_of_a_dense_filter(random_state, camera):
 
     H, P = prediction.jacobian(chosen).toarray(), state.covariance
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + SIGMA**2 * np.eye(len(H)))
-    expected = state.moved(K @ (pixels - prediction.pixels)[chosen].ravel())
+    expected = state.retract(K @ (pixels - prediction.pixels)[chosen].ravel())
     rest = np.eye(len(P)) - K @ H
     assert updated.covariance == pytest.approx(rest @ P @ rest.T + SIGMA**2 * K @ K.T, rel=1e-6, abs=1e-14)
     assert updated.positions == pytest.approx(expected.positions, abs=1e-9)
@@ -72,7 +72,7 @@ def test_exact_pixels_lead_to_where_they_are_exact(random_state, camera):
     error = np.linalg.cholesky(state.covariance + 1e-12 * np.eye(len(state.covariance))) @ np.random.default_rng(
         1
     ).standard_normal(len(state.covariance))
-    pixels = predict_pixels(state.moved(error), SECONDS, camera).pixels
+    pixels = predict_pixels(state.retract(error), SECONDS, camera).pixels
     everything = np.ones(len(state), bool)
     before = predict_pixels(state, SECONDS, camera)
     assert np.abs(before.pixels - pixels).max() > 1.0

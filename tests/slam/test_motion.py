@@ -9,10 +9,10 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.slam.motion import (
     compose,
     last_motion,
+    motion_from_velocity,
     predict_constant_velocity,
     predict_from_odometry,
     reanchored,
-    travelled,
     with_scale_walk,
 )
 from fvslam_graph.slam.state import POSE, SCALE, VELOCITY
@@ -26,8 +26,10 @@ SECONDS = 0.1
 @pytest.mark.parametrize("seed", SEEDS)
 def test_derivative_of_the_way_travelled(seed):
     velocity = np.random.default_rng(seed).standard_normal(6)
-    pose, by_velocity = travelled(velocity, SECONDS)
-    assert agrees(by_velocity, numeric(lambda e: pose.localCoordinates(travelled(velocity + e, SECONDS)[0]), 6))
+    pose, J_velocity = motion_from_velocity(velocity, SECONDS)
+    assert agrees(
+        J_velocity, numeric(lambda e: pose.localCoordinates(motion_from_velocity(velocity + e, SECONDS)[0]), 6)
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -38,8 +40,8 @@ def test_derivative_of_a_step(random_state, seed):
 
     def change(error: np.ndarray) -> np.ndarray:
         # What a different scale does is seen in the pose; map and velocity count in units of the map.
-        moved = state.moved(np.where(np.arange(size) == SCALE, 0.0, error))
-        prev_T_cur, _ = travelled(moved.velocity, SECONDS)
+        moved = state.retract(np.where(np.arange(size) == SCALE, 0.0, error))
+        prev_T_cur, _ = motion_from_velocity(moved.velocity, SECONDS)
         longer = gtsam.Pose3(prev_T_cur.rotation(), np.exp(error[SCALE]) * prev_T_cur.translation())
         result = difference(after, compose(moved, SECONDS))
         result[POSE] = after.world_T_camera.localCoordinates(moved.world_T_camera.compose(longer))
@@ -53,7 +55,7 @@ def test_derivative_of_a_step(random_state, seed):
 
 def test_a_step_moves_the_map_as_gtsam_does(random_state):
     state = random_state(0)
-    prev_T_cur, _ = travelled(state.velocity, SECONDS)
+    prev_T_cur, _ = motion_from_velocity(state.velocity, SECONDS)
     after = compose(state, SECONDS)
     assert after.positions == pytest.approx(prev_T_cur.transformTo(state.positions.T).T)
     assert after.world_T_camera.equals(state.world_T_camera.compose(prev_T_cur), 1e-12)

@@ -25,7 +25,7 @@ def matched(random_state, camera):
         error = np.zeros(len(covariance))
         error[7:13] = np.repeat([0.2, 1.0], 3) * rng.standard_normal(6)
         prediction = predict_pixels(state, SECONDS, camera)
-        true = predict_pixels(state.moved(error), SECONDS, camera).pixels
+        true = predict_pixels(state.retract(error), SECONDS, camera).pixels
         return state, prediction, true + 0.2 * rng.standard_normal(true.shape), rng
 
     return make
@@ -75,7 +75,7 @@ def test_landmarks_at_unknown_depths_have_little_to_say(random_state, camera):
     state = random_state(2, 20, 0, 1e-3)
     vague = state.covariance.copy()
     rows = state.parts[1][:, 2]
-    vague[rows, rows] += (3 * state.rays[:, 2]) ** 2
+    vague[rows, rows] += (3 * state.inverse_depth[:, 2]) ** 2
     vague_state = replace(state, velocity=5 * state.velocity, covariance=vague)
     prediction = predict_pixels(vague_state, SECONDS, camera)
     inliers, votes = run(vague_state, prediction, prediction.pixels.copy(), np.ones(20, bool), camera)

@@ -38,8 +38,8 @@ def test_found_where_they_are(flight, begun):
     finder, pixels = begun
     camera, poses = flight.camera, flight.ground_truth.poses
     height = flight.ground.heights[0]
-    rays = np.column_stack([camera.normalize(pixels), np.ones(len(pixels))])
-    there = poses[1].transformTo((1.15 * height * rays).T).T
+    inverse_depth = np.column_stack([camera.normalize(pixels), np.ones(len(pixels))])
+    there = poses[1].transformTo((1.15 * height * inverse_depth).T).T
     expected = camera.project(there)
     visible = camera.contains(expected, 20)
     search = Search(
@@ -52,7 +52,7 @@ def test_found_where_they_are(flight, begun):
     )
     found_at, found = finder.find(flight.frame(1), search)
     assert found.mean() > 0.8
-    true = camera.project(poses[1].transformTo((height * rays[visible]).T).T)
+    true = camera.project(poses[1].transformTo((height * inverse_depth[visible]).T).T)
     off = np.linalg.norm(found_at - true, axis=1)[found]
     assert 0.01 < np.median(off) < 8.0  # the terrain has hills; measured 3 pixels
 

@@ -15,31 +15,31 @@ def test_moved_is_undone_by_difference(random_state):
     state = random_state(0)
     error = 0.1 * np.random.default_rng(1).standard_normal(len(state.covariance))
     error[SCALE] = 0.0
-    assert difference(state, state.moved(error)) == pytest.approx(error)
+    assert difference(state, state.retract(error)) == pytest.approx(error)
 
 
 def test_the_scale_makes_all_lengths_longer(random_state):
     state = random_state(1)
     error = np.zeros(len(state.covariance))
     error[SCALE] = np.log(2.0)
-    doubled = state.moved(error)
+    doubled = state.retract(error)
     assert doubled.positions == pytest.approx(2 * state.positions)
     assert doubled.velocity == pytest.approx(state.velocity * (1, 1, 1, 2, 2, 2))
     assert doubled.world_T_camera.equals(state.world_T_camera, 0)
-    growth = numeric(lambda e: difference(state, state.moved(e[0] * np.eye(len(error))[SCALE])), 1)[:, 0]
-    assert agrees(state.by_scale, growth)
+    growth = numeric(lambda e: difference(state, state.retract(e[0] * np.eye(len(error))[SCALE])), 1)[:, 0]
+    assert agrees(state.J_scale, growth)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_kept_stays_as_it_is(random_state, seed):
     state = random_state(seed)
     kept = np.random.default_rng(seed).random(len(state)) > 0.4
-    left = state.reduced(kept, np.zeros(6, bool))
+    left = state.without(~kept, np.zeros(6, bool))
     left.check()
     assert left.ids.tolist() == state.ids[kept].tolist()
     assert left.positions == pytest.approx(state.positions[kept])
     assert left.position_covariances() == pytest.approx(state.position_covariances()[kept])
-    assert state.reduced(np.ones(len(state), bool), np.zeros(6, bool)) is state
+    assert state.without(np.zeros(len(state), bool), np.zeros(6, bool)) is state
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -47,9 +47,9 @@ def test_points_are_what_the_landmarks_were(random_state, seed):
     state = random_state(seed)
     linear = np.array([True, False, True, True, False, False])
     kept = np.arange(10) != 2
-    turned = state.reduced(kept, linear)
+    turned = state.without(~kept, linear)
     turned.check()
-    assert len(turned.inverse) == 3 and len(turned.points) == 6
+    assert len(turned.anchored_inverse_depth) == 3 and len(turned.points) == 6
     assert set(turned.ids) == set(state.ids[kept])
     order = [state.ids.tolist().index(identity) for identity in turned.ids]
     assert turned.positions == pytest.approx(state.positions[order])
@@ -60,7 +60,7 @@ def test_points_are_what_the_landmarks_were(random_state, seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_the_scale_apart_changes_nothing_metric(random_state, seed):
     state = random_state(seed)
-    apart = state.with_scale_apart()
+    apart = state.with_scale_decoupled()
     apart.check()
     assert np.array_equal(apart.positions, state.positions)
     assert apart.position_covariances() == pytest.approx(state.position_covariances(), rel=1e-6, abs=1e-9)
@@ -71,8 +71,8 @@ def test_the_scale_apart_changes_nothing_metric(random_state, seed):
 
 def test_a_common_error_of_all_distances_becomes_one_of_the_scale(random_state):
     state = random_state(2)
-    common = np.outer(state.by_scale, state.by_scale)  # all lengths are wrong alike, by a factor of deviation e^0.1
-    apart = replace(state, covariance=0.1**2 * common).with_scale_apart()
+    common = np.outer(state.J_scale, state.J_scale)  # all lengths are wrong alike, by a factor of deviation e^0.1
+    apart = replace(state, covariance=0.1**2 * common).with_scale_decoupled()
     assert apart.covariance[SCALE, SCALE] == pytest.approx(0.1**2)
     apart_from_it = np.delete(np.delete(apart.covariance, SCALE, 0), SCALE, 1)
     assert np.abs(apart_from_it).max() < 1e-12
@@ -81,10 +81,10 @@ def test_a_common_error_of_all_distances_becomes_one_of_the_scale(random_state):
 def test_an_anchor_lasts_as_long_as_a_landmark_has_it(random_state):
     state, rows = random_state(0), np.arange(10)
     assert len(state.anchors) == 4 and state.anchor_of.tolist() == [0, 1, 1, 2, 2, 3]
-    for left in (state.reduced(rows != 0, rows[:6] < 0), state.reduced(rows >= 0, rows[:6] == 0)):
+    for left in (state.without(rows == 0, rows[:6] < 0), state.without(rows < 0, rows[:6] == 0)):
         assert np.array_equal(left.anchors, state.anchors[1:])
         assert left.anchor_of.tolist() == [0, 0, 1, 1, 2]
-    for left in (state.reduced(rows != 1, rows[:6] < 0), state.reduced(rows >= 0, rows[:6] == 1)):
+    for left in (state.without(rows == 1, rows[:6] < 0), state.without(rows < 0, rows[:6] == 1)):
         assert np.array_equal(left.anchors, state.anchors)
         assert left.anchor_of.tolist() == [0, 1, 2, 2, 3]
 

@@ -156,32 +156,32 @@ def test_images_that_cannot_be_read():
 
 def test_a_lost_map_is_rebuilt_and_the_pose_kept():
     _, estimates = lost_and_found(tuple(range(10, 16)))
-    by_index = {estimate.index: estimate for estimate in estimates}
-    statuses = [by_index[i].status for i in range(10, 13)]
+    J_index = {estimate.index: estimate for estimate in estimates}
+    statuses = [J_index[i].status for i in range(10, 13)]
     assert statuses == [Status.COASTED, Status.COASTED, Status.REINITIALISED]
-    assert len(by_index[12].landmarks) >= NOISY.min_landmarks and by_index[12].landmarks.ages.max() == 0
-    assert by_index[18].status is Status.TRACKED
+    assert len(J_index[12].landmarks) >= NOISY.min_landmarks and J_index[12].landmarks.ages.max() == 0
+    assert J_index[18].status is Status.TRACKED
     assert all(a.status is not Status.TRACKED or len(a.landmarks) for a in estimates)
     # The motion that led there is told, although the velocity is forgotten.
-    led = by_index[11].pose.mean.between(by_index[12].pose.mean)
-    assert by_index[12].prev_T_cur.mean.equals(led, 0.02) and np.linalg.norm(led.translation()) > 0.5
+    led = J_index[11].pose.mean.between(J_index[12].pose.mean)
+    assert J_index[12].prev_T_cur.mean.equals(led, 0.02) and np.linalg.norm(led.translation()) > 0.5
     # The pose goes on from where it was, and what was uncertain remains so.
-    last, first = by_index[12].pose.mean, by_index[13]
+    last, first = J_index[12].pose.mean, J_index[13]
     assert first.pose.mean.equals(last.compose(first.prev_T_cur.mean), 0.02)
-    assert np.trace(by_index[20].pose.covariance) > np.trace(by_index[9].pose.covariance)
+    assert np.trace(J_index[20].pose.covariance) > np.trace(J_index[9].pose.covariance)
 
 
 def test_a_lost_map_is_found_again():
     """The camera may have been carried away meanwhile, and the next map has a scale of its own."""
     scene, estimates = lost_and_found(tuple(range(10, 16)))
-    by_index = {estimate.index: estimate for estimate in estimates}
-    assert by_index[12].scale_sigma > 0.5 and np.trace(by_index[12].pose.covariance) > 100
-    back = by_index[16]
+    J_index = {estimate.index: estimate for estimate in estimates}
+    assert J_index[12].scale_sigma > 0.5 and np.trace(J_index[12].pose.covariance) > 100
+    back = J_index[16]
     assert back.status is Status.TRACKED and back.previous == 9
     assert back.scale_sigma < 0.1 and np.trace(back.pose.covariance) < 1.0
     truth = scene.trajectory.poses
     assert back.prev_T_cur.mean.equals(truth[9].between(truth[16]), 0.3)  # of 0.7 s of flight
-    assert by_index[17].previous == 16
+    assert J_index[17].previous == 16
 
 
 def test_gaps_change_the_step_and_not_the_code():

@@ -64,7 +64,7 @@ def test_jacobian_by_finite_differences(camera, two_views, sigma):
     def values(change: np.ndarray) -> np.ndarray:
         return reprojection_errors(MOTION.retract(change), ray, scene.tracks, depths, camera, 0.5).values
 
-    jacobian = reprojection_errors(MOTION, ray, scene.tracks, depths, camera, 0.5).by_pose
+    jacobian = reprojection_errors(MOTION, ray, scene.tracks, depths, camera, 0.5).J_pose
     step = 1e-6
     numeric = np.stack([(values(step * e) - values(-step * e)) / (2 * step) for e in np.eye(6)], axis=2)
     assert np.abs(jacobian - numeric).max() < 1e-5 * np.abs(numeric).max()
@@ -177,4 +177,4 @@ def test_the_pose_changes_with_the_calibration_as_it_says(camera, two_views, col
         refine_absolute_pose(NEAR, rays(camera, seen.keyframe), seen, depths, camera) for seen in (tracks, other)
     )
     moved = before.pose.mean.localCoordinates(after.pose.mean) / max(change)
-    assert before.by_calibration[:, column] == pytest.approx(moved, rel=0.1, abs=0.03)
+    assert before.J_calibration[:, column] == pytest.approx(moved, rel=0.1, abs=0.03)

@@ -122,7 +122,7 @@ def test_common():
 def test_moved_is_exact(camera, two_views):
     scene = two_views(MOTION)
     depths = InverseDepths.independent(scene.tracks.ids, 1 / scene.points[:, 2], np.full(len(scene.points), 0.01))
-    moved = depths.moved(rays(camera, scene.tracks.keyframe), MOTION)
+    moved = depths.seen_from(rays(camera, scene.tracks.keyframe), MOTION)
     in_new = MOTION.transformTo(scene.points.T).T
     assert np.array_equal(moved.ids, depths.ids)
     assert moved.values == pytest.approx(1 / in_new[:, 2], rel=1e-9)
@@ -134,7 +134,7 @@ def test_moved_sigmas_by_finite_differences(camera, two_views):
     values, sigmas = 1 / scene.points[:, 2], np.linspace(0.001, 0.01, len(scene.points))
 
     def moved(change: float) -> InverseDepths:
-        return InverseDepths(scene.tracks.ids, values + change, sigmas, np.outer(sigmas, np.arange(5))).moved(
+        return InverseDepths(scene.tracks.ids, values + change, sigmas, np.outer(sigmas, np.arange(5))).seen_from(
             ray, MOTION
         )
 
@@ -148,8 +148,8 @@ def test_points_that_are_passed_are_dropped():
     depths = InverseDepths.independent(
         np.arange(5), np.array([1 / 10, 1 / 2.5, 1 / 2.05, 1 / 1.5, -1 / 10]), np.full(5, 0.01)
     )
-    moved = depths.moved(ray, gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 2.0])))
+    moved = depths.seen_from(ray, gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 2.0])))
     assert moved.ids.tolist() == [0, 1]  # the third is 5 cm ahead, the fourth behind, the last never was in front
     assert moved.values == pytest.approx([1 / 8, 1 / 0.5])
     around = gtsam.Pose3(gtsam.Rot3.Ry(np.pi), np.zeros(3))
-    assert len(depths.moved(ray, around)) == 0
+    assert len(depths.seen_from(ray, around)) == 0

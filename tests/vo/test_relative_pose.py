@@ -185,4 +185,4 @@ def test_the_pose_changes_with_the_calibration_as_it_says(camera, two_views, col
     before, after = (estimate_relative_pose(seen, camera, SETTINGS, 0) for seen in (tracks, other))
     first, second = (gtsam.EssentialMatrix(view.rotation, gtsam.Unit3(view.direction)) for view in (before, after))
     moved = first.localCoordinates(second) / max(change)
-    assert before.by_calibration[:, column] == pytest.approx(moved, rel=0.1, abs=0.02)  # measured within 0.001
+    assert before.J_calibration[:, column] == pytest.approx(moved, rel=0.1, abs=0.02)  # measured within 0.001
