@@ -6,7 +6,7 @@ Takes a folder, the number of frames and how many processes, all of them or none
 import sys
 from pathlib import Path
 
-from fvslam_graph.study.run import carry_out
+from fvslam_graph.study.run import run_study
 from fvslam_graph.study.spec import Study
 
 # Processes import this file, so that what it does has to stand below this line.
@@ -19,6 +19,6 @@ if __name__ == "__main__":
         settings={"fusion.weight": [0.0, 0.5, 1.0]},
         seeds=2,
     )
-    outcome = carry_out(study, Path(out), int(workers))
+    outcome = run_study(study, Path(out), int(workers))
     print(outcome.table.pivot_table("ape", "variant", "sequence").round(4))
     print(f"everything, with plots: {out}/report.html")

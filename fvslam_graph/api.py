@@ -16,7 +16,7 @@ from fvslam_graph.pipeline import run_sequence
 from fvslam_graph.runs.results import Run
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.study.results import StudyResults
-from fvslam_graph.study.run import carry_out
+from fvslam_graph.study.run import run_study
 from fvslam_graph.study.spec import comparison, default_folder
 
 
@@ -101,4 +101,4 @@ def compare(
         FvslamError: One sentence on what is missing, unknown or out of range.
     """
     study = comparison(sequence, modes, seeds, preset, settings, external, align)
-    return carry_out(study, default_folder(study) if out is None else Path(out), workers)
+    return run_study(study, default_folder(study) if out is None else Path(out), workers)

@@ -32,7 +32,7 @@ app = typer.Typer(
 )
 
 WIDE = 240  # characters
-FEW = 8  # rows of a table that fit beside each other
+MAX_ROWS_ACROSS = 8  # rows of a table that fit beside each other
 
 _T = TypeVar("_T")
 
@@ -177,7 +177,7 @@ def compare(
         files,
         align,
     )
-    _carry_out(study, out or default_folder(study), workers)
+    _run_study(study, out or default_folder(study), workers)
 
 
 @app.command()
@@ -191,7 +191,7 @@ def study(
     from fvslam_graph.study.spec import default_folder, load_study
 
     declared = load_study(file)
-    _carry_out(declared, out or default_folder(declared), workers, scheduler)
+    _run_study(declared, out or default_folder(declared), workers, scheduler)
 
 
 @app.command()
@@ -249,19 +249,19 @@ def demo(
     typer.echo(f"plots: {', '.join(str(file) for file in plots if file.suffix == '.png')}")
 
 
-def _carry_out(study: Study, out: Path, workers: int | None, scheduler: str | None = None) -> None:
-    from fvslam_graph.study.run import carry_out
+def _run_study(study: Study, out: Path, workers: int | None, scheduler: str | None = None) -> None:
+    from fvslam_graph.study.run import run_study
     from fvslam_graph.study.statistics import differences, verdicts
 
-    outcome = carry_out(study, out, workers, scheduler, lambda rows, total: _progress(rows, total, study.name))
-    summary, failures = outcome.summary(), outcome.failures()
-    _show(summary.rich(across=len(summary.rows) <= FEW))
-    for sentence in verdicts(differences(outcome)):
+    results = run_study(study, out, workers, scheduler, lambda rows, total: _progress(rows, total, study.name))
+    summary, failures = results.summary(), results.failures()
+    _show(summary.rich(across=len(summary.rows) <= MAX_ROWS_ACROSS))
+    for sentence in verdicts(differences(results)):
         typer.echo(sentence)
     if failures.rows:
         _show(failures.rich())
     typer.echo(f"report: {out / 'report.html'}")
-    if not len(outcome.finished):
+    if not len(results.finished):
         raise FvslamError("no run came to its end; the table says why")
 
 

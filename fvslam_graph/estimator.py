@@ -90,7 +90,7 @@ def estimate(sequence: Sequence, config: Config, front_end: FrontEnd | None = No
         if config.mode is not Mode.VO and not vslam.started and odometry is not None:
             slam = _start(vslam, frame, odometry, fusion.pose, sequence, config)
             if slam is not None:
-                fusion.start(slam.pose, slam.views)
+                fusion.start(slam.pose, slam.observations)
         elif config.mode is not Mode.VO and index - vslam.index >= interleave.distance:
             prior = fusion.motion if config.odometry_is_prior else None
             slam = vslam.step(frame, prior, _followed(odometry, config))
@@ -99,7 +99,7 @@ def estimate(sequence: Sequence, config: Config, front_end: FrontEnd | None = No
 
             # P_f: both fused, and the reference from which both go on.
             with stopwatch.stage("fusion"):
-                motion = fusion.fuse(slam.pose, slam.prev_T_cur, slam.views if found else None)
+                motion = fusion.fuse(slam.pose, slam.prev_T_cur, slam.observations if found else None)
             if config.mode is not Mode.VSLAM:
                 vslam.reset_pose(fusion.reference)
 
@@ -206,16 +206,14 @@ def _measures(config: Config, odometry: VoEstimate | None, slam: SlamEstimate | 
     if config.mode is Mode.VO:
         return measures
     outcomes = (
-        np.bincount(slam.searched.outcome, minlength=len(MatchOutcome))
-        if slam
-        else np.full(len(MatchOutcome), math.nan)
+        np.bincount(slam.matches.outcome, minlength=len(MatchOutcome)) if slam else np.full(len(MatchOutcome), math.nan)
     )
-    searched = outcomes[
+    expected = outcomes[
         [MatchOutcome.UNMATCHED, MatchOutcome.REJECTED, MatchOutcome.INLIER, MatchOutcome.RESCUED]
     ].sum()
     return measures | {
-        "landmarks": float(searched),
-        "matched": float(searched - outcomes[MatchOutcome.UNMATCHED]),
+        "landmarks": float(expected),
+        "matched": float(expected - outcomes[MatchOutcome.UNMATCHED]),
         "measured": float(outcomes[MatchOutcome.INLIER] + outcomes[MatchOutcome.RESCUED]),
         "interval": slam.index - slam.previous if slam else math.nan,
         "map_scale_sigma": slam.scale_sigma if slam else math.nan,

@@ -23,7 +23,7 @@ from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.pipeline import resolve_config, run_metadata
 from fvslam_graph.runs.results import collect
 from fvslam_graph.sequences.open import open_sequence
-from fvslam_graph.study.jobs import numbers
+from fvslam_graph.study.jobs import metric_columns
 
 MODES = {"vo": "VO", "vslam": "V-SLAM", "average": "our approach"}
 KINDS = {  # the paper's colours
@@ -50,7 +50,7 @@ def main(
         runs[mode] = list(estimate(sequence, config))
         run = collect(runs[mode], config, run_metadata(sequence, config), sequence.ground_truth)
         evaluations[mode] = evaluation_of(run, align=Alignment.SIM3)
-    searched = {r.index: r.slam.searched for r in runs["average"] if r.slam is not None and len(r.slam.searched)}
+    searched = {r.index: r.slam.matches for r in runs["average"] if r.slam is not None and len(r.slam.matches)}
     middle = len(sequence) // 2 if shown is None else shown
     index = min(searched, key=lambda frame: abs(frame - middle))
 
@@ -89,7 +89,7 @@ def main(
             axes.set_aspect("equal", adjustable="datalim")
             axes.legend()
 
-    rows = [{"sequence": sequence.name, "mode": mode, **numbers(evaluations[mode])} for mode in MODES]
+    rows = [{"sequence": sequence.name, "mode": mode, **metric_columns(evaluations[mode])} for mode in MODES]
     caption = f"{sequence.name}, preset {preset}, scale by {config.scale.source}, online, Sim(3), seed {seed}."
     table = Table(
         ("mode", "APE (m)", "RPE (m)", "t_rel (%)", "r_rel (deg/100 m)"),

@@ -15,7 +15,7 @@ from fvslam_graph.evaluation.monte_carlo import pose_errors, run
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.pipeline import run_metadata
-from fvslam_graph.runs.run_folder import GRAPH, METRICS, RunWriter, read_run
+from fvslam_graph.runs.run_folder import GRAPH_FILES, METRICS_FILE, RunWriter, read_run
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.simulation.points import simulate_drive, simulate_flight
 from fvslam_graph.simulation.synthetic import synthetic_sequence
@@ -289,13 +289,13 @@ def test_the_folder_of_a_graph_run(flown, tmp_path):
     run = read_run(tmp_path)
     assert run.smoothed is not None and len(run.smoothed) == len(run.online) == 24
     assert not np.allclose(run.smoothed.positions[1:], run.online.positions[1:], atol=1e-6)
-    for name in GRAPH:
+    for name in GRAPH_FILES:
         assert (tmp_path / name).stat().st_size > 100
     assert "fusion_ms" in run.frames
     evaluation = evaluate_run(tmp_path)
     own = np.linalg.norm(run.smoothed.positions - flown.ground_truth.positions, axis=1)
     assert 0 < evaluation.smoothed < np.sqrt(np.mean(own**2))  # before alignment
-    assert json.loads((tmp_path / METRICS).read_text())["ape_smoothed"] == evaluation.smoothed
+    assert json.loads((tmp_path / METRICS_FILE).read_text())["ape_smoothed"] == evaluation.smoothed
 
 
 def test_heights_that_are_exact_above_ground_that_is_not():

@@ -25,8 +25,12 @@ class Distortion(StrEnum):
     EQUIDISTANT = "equidistant"  # k1 k2 k3 k4, Kannala and Brandt 2006, as OpenCV's fisheye model
 
 
-_CONVERGED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)  # of undistortion, which is iterative
-_COEFFICIENTS = {
+_UNDISTORTION_CRITERIA = (
+    cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS,
+    100,
+    1e-12,
+)  # of undistortion, which is iterative
+_COEFFICIENT_COUNTS = {
     Distortion.NONE: (0,),
     Distortion.RADTAN: (4, 5),
     Distortion.RATIONAL: (8,),
@@ -70,9 +74,9 @@ class Camera:
             )
         if self.fx <= 0 or self.fy <= 0:
             raise CameraError(f"the focal lengths must be positive, not fx={self.fx:g}, fy={self.fy:g}")
-        if len(self.coefficients) not in _COEFFICIENTS[self.distortion]:
+        if len(self.coefficients) not in _COEFFICIENT_COUNTS[self.distortion]:
             raise CameraError(
-                f"distortion '{self.distortion}' takes {' or '.join(map(str, _COEFFICIENTS[self.distortion]))} "
+                f"distortion '{self.distortion}' takes {' or '.join(map(str, _COEFFICIENT_COUNTS[self.distortion]))} "
                 f"coefficients, not {len(self.coefficients)}"
             )
 
@@ -96,7 +100,7 @@ class Camera:
         if self.distortion is Distortion.NONE or not len(pixels):
             return np.asarray((pixels - (self.cx, self.cy)) / (self.fx, self.fy), float)
         undistort = cv2.fisheye.undistortPoints if self.distortion is Distortion.EQUIDISTANT else cv2.undistortPoints
-        normalized = undistort(pixels[:, None], self.K, np.array(self.coefficients), criteria=_CONVERGED)
+        normalized = undistort(pixels[:, None], self.K, np.array(self.coefficients), criteria=_UNDISTORTION_CRITERIA)
         return np.asarray(normalized, float).reshape(-1, 2)
 
     def contains(self, pixels: NDArray[np.float64], border: float = 0.0) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from fvslam_graph.core.errors import ResultsError
 
-LONGEST = 80  # characters of a file's name that are those of a label
+MAX_NAME_LENGTH = 80  # characters of a file's name that are those of a label
 
 
 @contextmanager
@@ -51,7 +51,7 @@ def write_json(path: Path, data: Any) -> None:
 
 def file_name(label: str) -> str:
     """The name of a file or folder for a label, which no other label has: where letters are lost, a hash follows."""
-    name = re.sub(r"[^a-zA-Z0-9._]+", "-", label)[:LONGEST].strip("-.")
+    name = re.sub(r"[^a-zA-Z0-9._]+", "-", label)[:MAX_NAME_LENGTH].strip("-.")
     if name and name == label:
         return name
     digest = hashlib.blake2b(label.encode(errors="backslashreplace"), digest_size=4).hexdigest()

@@ -10,8 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-CARRIED = 0.25  # share of cases in which a camera that has lost the scene went anywhere meanwhile,
-TURNED = 1.0  # by so many rad (deviation), and as far as the scene was away
+LOST_PROBABILITY = 0.25  # share of cases in which a camera that has lost the scene went anywhere meanwhile,
+LOST_ROTATION = 1.0  # by so many rad (deviation), and as far as the scene was away
 UNINFORMATIVE_VARIANCE = 0.2**2  # variance of the logarithm of a scale from which on it tells nothing
 
 
@@ -54,8 +54,8 @@ class GaussianPose:
         is in view suggests that it may have gone as far as the scene was away, or have turned from it. This is the
         covariance of a mixture of both.
         """
-        sigmas = np.repeat([TURNED, distance], 3)
-        return GaussianPose(self.mean, self.covariance + CARRIED * np.diag(sigmas**2))
+        sigmas = np.repeat([LOST_ROTATION, distance], 3)
+        return GaussianPose(self.mean, self.covariance + LOST_PROBABILITY * np.diag(sigmas**2))
 
     def inverse(self) -> GaussianPose:
         """b_T_a."""

@@ -14,7 +14,7 @@ from fvslam_graph.core.camera import Camera, Distortion, Image, Rectifier
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.trajectory import Trajectory
 
-MOST_DISTORTED = 0.3  # k1; more is no rest that a calibration has left
+MAX_RESIDUAL_K1 = 0.3  # k1; more is no rest that a calibration has left
 
 
 @dataclass(frozen=True)
@@ -144,14 +144,16 @@ class Sequence:
 
         return replace(self, camera=camera, load=resized, source=None)
 
-    def straightened(self, k1: float) -> Sequence:
+    def undistorted(self, k1: float) -> Sequence:
         """The same recording with a radial distortion taken out of its images: k1 of OpenCV's model.
 
         Raises:
             SequenceError: It is no small distortion.
         """
-        if not abs(k1) <= MOST_DISTORTED:
-            raise SequenceError(f"the distortion k1 must be between -{MOST_DISTORTED} and {MOST_DISTORTED}, not {k1:g}")
+        if not abs(k1) <= MAX_RESIDUAL_K1:
+            raise SequenceError(
+                f"the distortion k1 must be between -{MAX_RESIDUAL_K1} and {MAX_RESIDUAL_K1}, not {k1:g}"
+            )
         load, size = self.load, (self.camera.height, self.camera.width)
         rectifier = Rectifier(
             replace(self.camera, distortion=Distortion.RADTAN, coefficients=(k1, 0, 0, 0)), self.camera

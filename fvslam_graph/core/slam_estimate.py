@@ -108,7 +108,7 @@ class SlamEstimate:
         pose: world_T_camera.
         prev_T_cur: Motion since the step before.
         status: How it came about.
-        searched: What became of the map's landmarks.
+        matches: What became of the map's landmarks.
         landmarks: The map from now on.
         scale_sigma: Standard deviation of the logarithm of the scale that the map shares; NaN without landmarks.
         times: Milliseconds by stage.
@@ -119,17 +119,17 @@ class SlamEstimate:
     pose: GaussianPose
     prev_T_cur: GaussianPose
     status: Status
-    searched: LandmarkMatches
+    matches: LandmarkMatches
     landmarks: Landmarks
     scale_sigma: float
     times: dict[str, float]
 
     @property
-    def views(self) -> LandmarkObservations:
+    def observations(self) -> LandmarkObservations:
         """Landmarks that were measured in this frame, and those that begin in it."""
-        measured, new = self.searched.measured, self.landmarks.ages == 0
-        ids = np.concatenate([self.searched.ids[measured], self.landmarks.ids[new]])
-        pixels = np.vstack([self.searched.pixels[measured], self.landmarks.pixels[new]])
+        measured, new = self.matches.measured, self.landmarks.ages == 0
+        ids = np.concatenate([self.matches.ids[measured], self.landmarks.ids[new]])
+        pixels = np.vstack([self.matches.pixels[measured], self.landmarks.pixels[new]])
         points, covariances = np.full((len(ids), 3), np.nan), np.full((len(ids), 3, 3), np.nan)
         _, mine, theirs = np.intersect1d(ids, self.landmarks.ids, assume_unique=True, return_indices=True)
         points[mine], covariances[mine] = self.landmarks.points[theirs], self.landmarks.covariances[theirs]

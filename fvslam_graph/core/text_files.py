@@ -6,11 +6,11 @@ from pathlib import Path
 
 from fvslam_graph.core.errors import FvslamError
 
-MAX_SIZE = 50_000_000  # bytes; as words, a table takes twenty times the memory
+MAX_TEXT_SIZE = 50_000_000  # bytes; as words, a table takes twenty times the memory
 OWN_MAX_SIZE = 1_000_000_000  # bytes, of what a long run writes
 
 
-def read_text(path: Path, error: type[FvslamError], max_size: int = MAX_SIZE) -> str:
+def read_text(path: Path, error: type[FvslamError], max_size: int = MAX_TEXT_SIZE) -> str:
     """The text of a UTF-8 file, with or without a byte order mark.
 
     Raises:

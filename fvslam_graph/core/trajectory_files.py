@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from fvslam_graph.core.errors import TrajectoryError
 from fvslam_graph.core.text_files import read_text
 
-LARGEST = 200_000_000  # bytes, a million poses and more
+MAX_FILE_SIZE = 200_000_000  # bytes, a million poses and more
 SINCE_1970 = 1e17  # larger stamps are nanoseconds: as seconds, they were older than the universe
-FARTHEST = 1e15  # m, a tenth of a light year; a path through positions beyond it has no length
+MAX_POSITION = 1e15  # m, a tenth of a light year; a path through positions beyond it has no length
 FAR_APART = 1e5  # whole numbers that grow by more from row to row are nanoseconds: as seconds, they were a day apart
 
 
@@ -57,7 +57,7 @@ def read_rows(path: Path, unfinished: bool = False, known: Layout | None = None)
     Raises:
         TrajectoryError: It cannot be read, holds no poses, or its rows are none of a known layout.
     """
-    text = read_text(path, TrajectoryError, LARGEST)
+    text = read_text(path, TrajectoryError, MAX_FILE_SIZE)
     header, lines = _split(text[: text.rfind("\n") + 1] if unfinished else text)
     if not lines:
         raise TrajectoryError(f"{path} holds no poses: no line begins with a number")
@@ -79,7 +79,7 @@ def read_rows(path: Path, unfinished: bool = False, known: Layout | None = None)
         if (latest := np.abs(stamps).max()) > SINCE_1970:
             raise TrajectoryError(f"{path} has the stamp {latest:g}, which is no time in seconds")
     poses = values[:, layout.value]
-    if (away := np.abs(poses).max()) > FARTHEST:
+    if (away := np.abs(poses).max()) > MAX_POSITION:
         raise TrajectoryError(f"{path} has a pose with the number {away:g}, which is no place in metres")
     return PoseRows(numbers, len(rows), stamps, poses, tuple(notes))
 

@@ -11,7 +11,7 @@ import yaml
 from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.core.text_files import read_text
 
-MAX_SIZE = 1_000_000  # bytes
+MAX_YAML_SIZE = 1_000_000  # bytes
 
 
 class _Loader(yaml.SafeLoader):
@@ -86,7 +86,7 @@ def read_yaml_mapping(path: Path, error: type[FvslamError]) -> dict[str, Any]:
     Raises:
         error: The file cannot be read or holds no mapping.
     """
-    lines = [line for line in read_text(path, error, MAX_SIZE).splitlines() if not line.startswith("%")]
+    lines = [line for line in read_text(path, error, MAX_YAML_SIZE).splitlines() if not line.startswith("%")]
     content = parse_yaml("\n".join(lines).rstrip().removesuffix("\n---"), str(path), error)
     if not isinstance(content, dict):
         raise error(f"{path} is not a YAML file of the form 'key: value'")

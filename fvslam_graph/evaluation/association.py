@@ -13,9 +13,9 @@ from fvslam_graph.core.errors import TrajectoryError
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.runs.run_folder import read_run
 
-MAX_DIFFERENCE = 0.01  # s between associated stamps: the default of evo_ape
+MAX_STAMP_DIFFERENCE = 0.01  # s between associated stamps: the default of evo_ape
 MAX_GAP = 0.5  # s between poses of a reference that are interpolated
-UNITS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}
+STAMP_UNITS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}
 MOST = 100_000  # poses: evo takes about a minute for them
 SAME_INSTANT = 1e-3  # s; two poses closer in time count as simultaneous: 1 cm at 10 m/s
 
@@ -105,9 +105,9 @@ def _by_stamps(estimate: Trajectory, reference: Trajectory) -> TrajectoryPairs:
 
     a, b = estimate.stamps, reference.stamps
     if len(b) > len(a):  # from the shorter one, as evo does, so that none of its poses is lost
-        rows, partners = np.array(matching_time_indices(a, b, MAX_DIFFERENCE), dtype=int)
+        rows, partners = np.array(matching_time_indices(a, b, MAX_STAMP_DIFFERENCE), dtype=int)
     else:
-        partners, rows = np.array(matching_time_indices(b, a, MAX_DIFFERENCE), dtype=int)
+        partners, rows = np.array(matching_time_indices(b, a, MAX_STAMP_DIFFERENCE), dtype=int)
     matched, interpolated = _rows(reference, partners), False
     if len(rows) == 0 or np.max(np.abs(a[rows] - b[partners])) > SAME_INSTANT:
         between = reference.interpolate(a, MAX_GAP)
@@ -125,9 +125,9 @@ def _reason(a: NDArray[np.float64], b: NDArray[np.float64]) -> str:
     """Why stamps of an estimate and a reference, (N,) and (M,) seconds, may not match, as far as they tell."""
     longer = np.ptp(a) / np.ptp(b) if np.ptp(a) > 0 and np.ptp(b) > 0 else 1.0
     power = 3 * round(math.log10(longer) / 3)
-    if abs(power) in UNITS and _overlap(a / 10.0**power, b):
+    if abs(power) in STAMP_UNITS and _overlap(a / 10.0**power, b):
         which = "estimate" if power > 0 else "reference"
-        return f". The stamps of the {which} seem to be {UNITS[abs(power)]}: divide them by 1e{abs(power)}"
+        return f". The stamps of the {which} seem to be {STAMP_UNITS[abs(power)]}: divide them by 1e{abs(power)}"
     if not _overlap(a, b):
         return (
             ". Where the clocks differ, give the offset by --time-offset SECONDS, which is added to the stamps of the "
@@ -137,8 +137,8 @@ def _reason(a: NDArray[np.float64], b: NDArray[np.float64]) -> str:
     nearest = np.abs(a[:, None] - b[np.minimum(np.stack([after - 1, after], axis=1), len(b) - 1)]).min()
     gap = f", its poses are {np.median(np.diff(b)):.3g} s apart" if len(b) > 1 else ""
     return (
-        f". The nearest stamps are {nearest:.3g} s apart, which may be {MAX_DIFFERENCE:g} s{gap}, and a reference is "
-        f"interpolated over {MAX_GAP:g} s at most; a clock offset is given by --time-offset SECONDS"
+        f". The nearest stamps are {nearest:.3g} s apart, which may be {MAX_STAMP_DIFFERENCE:g} s{gap}, and a "
+        f"reference is interpolated over {MAX_GAP:g} s at most; a clock offset is given by --time-offset SECONDS"
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LENGTHS = np.arange(100.0, 900.0, 100.0)  # m
-STEP = 10  # poses between the starts of segments, as in the benchmark (one second at its 10 Hz)
+SEGMENT_STEP = 10  # poses between the starts of segments, as in the benchmark (one second at its 10 Hz)
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def drift(estimate: NDArray[np.float64], reference: NDArray[np.float64]) -> Drif
     """
     steps = np.linalg.norm(np.diff(reference[:, :3, 3], axis=0), axis=1)
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
-    starts, lengths = np.meshgrid(np.arange(0, len(travelled), STEP), LENGTHS, indexing="ij")
+    starts, lengths = np.meshgrid(np.arange(0, len(travelled), SEGMENT_STEP), LENGTHS, indexing="ij")
     ends = np.searchsorted(travelled, travelled[starts] + lengths, side="right")
     inside = ends < len(travelled)
     starts, lengths, ends = starts[inside], lengths[inside], ends[inside]

@@ -27,7 +27,7 @@ OUTCOMES = {
     NEW: ("#009E73", "new"),
 }
 SIGMAS = 3.035  # of the ellipses in the image: 99 %, what is searched
-_REACH = 95  # percent of the landmarks that the map shows
+_SHOWN_PERCENT = 95  # percent of the landmarks that the map shows
 
 
 def plot_landmarks(folder: Path, frames: list[int], out: Path) -> list[Path]:
@@ -115,9 +115,9 @@ def _draw_map(axes: Axes, landmarks: dict[str, NDArray[Any]], level: NDArray[np.
     axes.plot(0, 0, "^", color="black", markersize=8)
     # Landmarks far away, and their uncertainty, would make the rest too small to see.
     seen = ground[:, np.isfinite(ground[0])] if np.isfinite(ground).any() else np.array([[-1.0, 1.0], [0.0, 1.0]])
-    low, high = np.percentile(seen[1], [100 - _REACH, _REACH])
+    low, high = np.percentile(seen[1], [100 - _SHOWN_PERCENT, _SHOWN_PERCENT])
     low, high = min(low, 0.0) - 1, max(high, 0.0) + 1
-    aside = max(float(np.percentile(np.abs(seen[0]), _REACH)), 1.2 * (high - low))
+    aside = max(float(np.percentile(np.abs(seen[0]), _SHOWN_PERCENT)), 1.2 * (high - low))
     axes.set(xlim=(-aside, aside), ylim=(low, high))
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlabel="right (m)", ylabel="forward (m)", title="the map from above, ellipses of two standard deviations")

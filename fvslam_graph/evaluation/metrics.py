@@ -18,10 +18,10 @@ from fvslam_graph.evaluation.association import SAME_INSTANT, TrajectoryPairs, a
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
 from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
 from fvslam_graph.runs.results import Relatives
-from fvslam_graph.runs.run_folder import METRICS, REFERENCE
+from fvslam_graph.runs.run_folder import METRICS_FILE, REFERENCE
 
-FARTHEST = 1e9  # m, beyond the moon; squares of errors stay exact enough
-FEW = 0.5  # of the poses that could have a reference; fewer are worth a note
+MAX_COORDINATE = 1e9  # m, beyond the moon; squares of errors stay exact enough
+MIN_MATCHED_SHARE = 0.5  # of the poses that could have a reference; fewer are worth a note
 
 if TYPE_CHECKING:
     from evo.core.result import Result
@@ -108,7 +108,7 @@ class Evaluation:
                 archive = io.BytesIO()
                 save_res_file(archive, result)
                 write_file(folder / f"{name}.zip", archive.getvalue())
-            write_json(folder / METRICS, self.summary())
+            write_json(folder / METRICS_FILE, self.summary())
 
 
 def evaluate(
@@ -147,7 +147,7 @@ def evaluate(
     apart = float(np.abs(pairs.estimate.stamps - pairs.reference.stamps).max())
     if apart > SAME_INSTANT:
         notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
-    if (matched := len(pairs.indices)) < FEW * min(len(estimate), len(reference)):
+    if (matched := len(pairs.indices)) < MIN_MATCHED_SHARE * min(len(estimate), len(reference)):
         notes.append(f"only {matched} of {len(estimate)} poses have a reference: do both have the same clock and rate?")
     scale = _scale(pairs)
     determined = not math.isnan(scale)
@@ -189,8 +189,10 @@ def evaluate(
 
 def _require_near(name: str, trajectory: Trajectory) -> None:
     farthest = float(np.abs(trajectory.positions).max())
-    if farthest > FARTHEST:
-        raise TrajectoryError(f"the {name} has a position {farthest:.3g} m away; more than {FARTHEST:g} m is no place")
+    if farthest > MAX_COORDINATE:
+        raise TrajectoryError(
+            f"the {name} has a position {farthest:.3g} m away; more than {MAX_COORDINATE:g} m is no place"
+        )
 
 
 def _scale(pairs: TrajectoryPairs) -> float:

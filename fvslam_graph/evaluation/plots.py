@@ -49,7 +49,7 @@ STYLE = {
     "svg.hashsalt": "fvslam",
     "text.parse_math": False,  # a dollar in a name is a dollar
 }
-LONGEST = 60  # characters of a name in a figure
+MAX_NAME_IN_FIGURE = 60  # characters of a name in a figure
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def plot_runs(
 def legible(name: str) -> str:
     """A name as it is written in figures; matplotlib leaves what begins with an underscore out of legends."""
     name = one_line(name)
-    short = name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+    short = name if len(name) <= MAX_NAME_IN_FIGURE else f"{name[: MAX_NAME_IN_FIGURE - 1]}…"
     return f" {short}" if short.startswith("_") else short
 
 

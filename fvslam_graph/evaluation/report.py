@@ -15,20 +15,20 @@ from fvslam_graph.core.text_files import read_text
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.runs.results import Run
-from fvslam_graph.runs.run_folder import METRICS, read_run
+from fvslam_graph.runs.run_folder import METRICS_FILE, read_run
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
     from fvslam_graph.evaluation.metrics import Evaluation
 
-CAPTION = (
+RUNS_CAPTION = (
     "Online trajectories, but for the APE of the smoothed one. APE and RPE: RMSE, RPE from frame to frame; Sim(3): in "
     "the scale of the reference, whatever `align`. t_rel and r_rel: 100-800 m, no scale correction. ms/frame: median "
     "without reading images."
 )
-NUMBERS = 4  # the first columns are text, the others numbers
-COLUMNS = (
+TEXT_COLUMNS = 4  # the first columns are text, the others numbers
+RUN_COLUMNS = (
     *("run", "mode", "scale", "status"),
     *("coverage", "tracked", "align", "APE (m)", "smoothed (m)", "Sim(3) APE (m)", "RPE (m)"),
     *("t_rel (%)", "r_rel (deg/100 m)"),
@@ -42,7 +42,7 @@ def runs_table(folders: Sequence[Path]) -> Table:
     Raises:
         ResultsError: A folder is not that of a run, or damaged.
     """
-    return Table(COLUMNS, [_row(folder, read_run(folder)) for folder in folders], NUMBERS, CAPTION)
+    return Table(RUN_COLUMNS, [_row(folder, read_run(folder)) for folder in folders], TEXT_COLUMNS, RUNS_CAPTION)
 
 
 def summary_table(evaluation: Evaluation) -> RichTable:
@@ -78,7 +78,7 @@ def summary_table(evaluation: Evaluation) -> RichTable:
 
 
 def _row(folder: Path, run: Run) -> list[str]:
-    path = folder / METRICS
+    path = folder / METRICS_FILE
     try:
         cells = _metric_cells(json.loads(read_text(path, ResultsError)) if path.exists() else {})
     except (OSError, ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:

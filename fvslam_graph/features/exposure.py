@@ -11,8 +11,8 @@ from fvslam_graph.core.camera import Image
 REDUCTION = 16  # so small that what moves between two images hardly matters
 CLIPPED = (5, 250)  # grey levels beyond which brightness is not measured
 EXPLAINED = 2 / 3  # of the change is left at most; with more, the scene has changed, not its exposure
-LEAST_SHIFT, LEAST_RATIO = 2.0, 0.05  # grey levels of the mean, share of the contrast: less does not matter
-_ITERATIONS = 6
+MIN_SHIFT, MIN_RATIO = 2.0, 0.05  # grey levels of the mean, share of the contrast: less does not matter
+_EXPOSURE_ITERATIONS = 6
 
 
 def reduced(image: Image) -> NDArray[np.float64]:
@@ -33,11 +33,11 @@ def exposure_change(before: NDArray[np.float64], after: NDArray[np.float64]) -> 
     if len(x) < 16 or np.ptp(x) < 1:
         return None
     shift, ratio = float(y.mean() - x.mean()), float(y.std() / max(x.std(), 1e-6))
-    if abs(shift) < LEAST_SHIFT and abs(ratio - 1) < LEAST_RATIO:
+    if abs(shift) < MIN_SHIFT and abs(ratio - 1) < MIN_RATIO:
         return None
     change = float(np.median(np.abs(y - x)))
     design, weight = np.column_stack([x, np.ones_like(x)]), np.ones_like(x)
-    for _ in range(_ITERATIONS):
+    for _ in range(_EXPOSURE_ITERATIONS):
         weighted = design * weight[:, None]
         gain, offset = np.linalg.solve(weighted.T @ design, weighted.T @ y)
         residual = np.abs(y - gain * x - offset)

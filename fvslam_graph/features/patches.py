@@ -18,8 +18,8 @@ MARGIN = COARSE + 1  # pixels from the rim of the image within which no patch fi
 _OFFSETS = np.arange(SIDE) - (SIDE - 1) / 2
 _GRID = np.stack(np.meshgrid(_OFFSETS, _OFFSETS)).reshape(2, -1)
 _CORNERS = [0, SIDE - 1, -SIDE, -1]  # of this grid
-_ITERATIONS = 3  # of the alignment
-_LEAST_TEXTURE = np.float32(1e-4)  # added to what an aligned patch tells, so that a flat one stays where it is
+_ALIGNMENT_ITERATIONS = 3  # of the alignment
+_MIN_TEXTURE = np.float32(1e-4)  # added to what an aligned patch tells, so that a flat one stays where it is
 
 
 def cut_tiles(image: Image, pixels: Array) -> NDArray[np.uint8]:
@@ -146,9 +146,9 @@ def align(image: Image, patches: Patches, start: Array) -> tuple[Array, Array]:
     # Brightness and contrast may change too, so that what of the gradient looks like it is of no use.
     gradient -= gradient.mean(axis=2, keepdims=True)
     gradient -= (gradient @ template[:, :, None]) * template[:, None, :]
-    steps = np.linalg.inv(gradient @ gradient.mT + _LEAST_TEXTURE * np.eye(2, dtype=np.float32)) @ gradient
+    steps = np.linalg.inv(gradient @ gradient.mT + _MIN_TEXTURE * np.eye(2, dtype=np.float32)) @ gradient
     position = start
-    for _ in range(_ITERATIONS):
+    for _ in range(_ALIGNMENT_ITERATIONS):
         error = _normalised(_sample(image, position)) - template
         position = position - (steps @ error[:, :, None])[:, :, 0]
     return position, (_normalised(_sample(image, position)) * template).sum(axis=1)

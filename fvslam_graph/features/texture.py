@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Image
 
-WINDOW = 5  # pixels of the reduced image
+TEXTURE_WINDOW = 5  # pixels of the reduced image
 EDGE = 10.0  # times more texture across an edge than along it: there, the variance along it has doubled
-LEAST = 0.01  # of the texture across an edge: the least that any is taken to have along it
+MIN_TEXTURE_ALONG = 0.01  # of the texture across an edge: the least that any is taken to have along it
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,11 @@ class Texture:
         small = cv2.resize(image[:height, :width], (width // factor, height // factor), interpolation=cv2.INTER_AREA)
         x, y = cv2.spatialGradient(small)
         products = (cv2.multiply(a, b, dtype=cv2.CV_32F) for a, b in ((x, x), (x, y), (y, y)))
-        return cls(small, factor, cv2.merge([cv2.boxFilter(product, -1, (WINDOW, WINDOW)) for product in products]))
+        return cls(
+            small,
+            factor,
+            cv2.merge([cv2.boxFilter(product, -1, (TEXTURE_WINDOW, TEXTURE_WINDOW)) for product in products]),
+        )
 
     def strength(self, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
         """The texture (N,) along the direction in which pixels (N, 2) of the reduced image have least (Shi, Tomasi)."""
@@ -52,7 +56,7 @@ class Texture:
         column, row = ((points + 0.5) / self.factor).astype(np.intp).T
         xx, xy, yy = self.tensors[row.clip(0, height - 1), column.clip(0, width - 1)].T.astype(float)
         weak, strong = self._weak(xx, xy, yy)
-        excess = (strong / np.maximum(weak, LEAST * strong + 1e-9) / EDGE) ** 4
+        excess = (strong / np.maximum(weak, MIN_TEXTURE_ALONG * strong + 1e-9) / EDGE) ** 4
         # (S - weak) / (strong - weak) projects on the direction across, and its complement on that along the edge.
         share = excess / np.maximum(strong - weak, 1e-9)
         along = np.stack([strong - xx, -xy, -xy, strong - yy], axis=1) * share[:, None]

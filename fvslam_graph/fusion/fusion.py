@@ -45,36 +45,40 @@ class Fusion(ABC):
         """Append the motion of a frame, O_f."""
         self._chain.add(frame.index, step)
 
-    def start(self, pose: GaussianPose, views: LandmarkObservations) -> None:
+    def start(self, pose: GaussianPose, observations: LandmarkObservations) -> None:
         """Visual SLAM begins at the newest frame, at this pose world_T_camera."""
         path = self._reference.compose(self._chain.motion)
         self._reference = replace(path, pose=replace(pose, covariance=pose.covariance - path.common))
         self._chain.anchor()
 
-    def fuse(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
+    def fuse(self, pose: GaussianPose, motion: GaussianPose, observations: LandmarkObservations | None) -> GaussianPose:
         """Make P_f of O_f and S_f, at the newest frame.
 
         Args:
             pose: world_T_camera by visual SLAM, S_f,
             motion: and the motion since the last P_f by it.
-            views: Landmarks in the frame; None where visual SLAM is lost.
+            observations: Landmarks in the frame; None where visual SLAM is lost.
 
         Returns:
             The motion since the last P_f.
         """
-        fused = self._fused(pose, motion, views)
+        fused = self._fused(pose, motion, observations)
         self._chain.anchor(fused)
         return fused
 
     @abstractmethod
-    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
+    def _fused(
+        self, pose: GaussianPose, motion: GaussianPose, observations: LandmarkObservations | None
+    ) -> GaussianPose:
         """Move the reference, and return by how much."""
 
 
 class SlamAlone(Fusion):
     """Visual SLAM as it is; odometry carries on from there to frames on which it does not run."""
 
-    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
+    def _fused(
+        self, pose: GaussianPose, motion: GaussianPose, observations: LandmarkObservations | None
+    ) -> GaussianPose:
         self._reference = ScaledPose.of(pose)
         return motion
 
@@ -90,8 +94,10 @@ class RuleFusion(Fusion):
         super().__init__()
         self._rule = rule
 
-    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
+    def _fused(
+        self, pose: GaussianPose, motion: GaussianPose, observations: LandmarkObservations | None
+    ) -> GaussianPose:
         odometry = self._chain.motion
-        step = odometry if views is None else odometry.replaced(self._rule(odometry.total, motion))
+        step = odometry if observations is None else odometry.replaced(self._rule(odometry.total, motion))
         self._reference = self._reference.compose(step)
         return step.total

@@ -78,15 +78,17 @@ class GraphFusion(Fusion):
         """
         return _moved(self._poses[self._newest], self._step)
 
-    def start(self, pose: GaussianPose, views: LandmarkObservations) -> None:
+    def start(self, pose: GaussianPose, observations: LandmarkObservations) -> None:
         """Landmarks begin at the newest frame."""
-        super().start(pose, views)
-        self.graph.fuse(views)
+        super().start(pose, observations)
+        self.graph.fuse(observations)
         self._published[self._newest] = pose.mean.translation()
 
-    def _fused(self, pose: GaussianPose, motion: GaussianPose, views: LandmarkObservations | None) -> GaussianPose:
+    def _fused(
+        self, pose: GaussianPose, motion: GaussianPose, observations: LandmarkObservations | None
+    ) -> GaussianPose:
         before = next(reversed(self._published))
-        fused = self.graph.fuse(views)
+        fused = self.graph.fuse(observations)
         expected = self._poses[self._newest].mean.translation()
         away = np.zeros(3)
         if self._settings.online == "continuous":

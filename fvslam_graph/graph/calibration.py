@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 CALIBRATION = int(gtsam.symbol("c", 0))
 TAILS = 1.0  # standard deviations, width of a Cauchy distribution
 MAX_K1 = 1.0
-FIXED = 1e-6  # standard deviation of what is not estimated, as no factor is exact
+EXACT_SIGMA = 1e-6  # standard deviation of what is not estimated, as no factor is exact
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class SelfCalibration:
 
     def __init__(self, camera: Camera, settings: GraphSettings) -> None:
         self._camera = camera
-        self._sigmas = np.maximum([settings.focal_sigma * camera.fx, settings.distortion_sigma, 0.0], FIXED)
+        self._sigmas = np.maximum([settings.focal_sigma * camera.fx, settings.distortion_sigma, 0.0], EXACT_SIGMA)
         self.start = gtsam.Cal3Bundler(camera.fx, 0.0, 0.0, camera.cx, camera.cy)
 
     def prior(self) -> gtsam.NonlinearFactor:

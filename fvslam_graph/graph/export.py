@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.files import replacing, write_file
 from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES
-from fvslam_graph.graph.calibration import CALIBRATION, FIXED
+from fvslam_graph.graph.calibration import CALIBRATION, EXACT_SIGMA
 from fvslam_graph.graph.factors import is_filed, is_landmark, is_pose, length_factor, pose_key
 
 Lengths = Mapping[tuple[int, int], tuple[float, float]]
@@ -56,7 +56,7 @@ def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gts
         if isinstance(factor, gtsam.BetweenFactorPose3):
             motions.add(_plain(factor, lengths))
     if values.exists(CALIBRATION):
-        exact = gtsam.noiseModel.Isotropic.Sigma(3, FIXED)
+        exact = gtsam.noiseModel.Isotropic.Sigma(3, EXACT_SIGMA)
         whole.add(gtsam.PriorFactorCal3Bundler(CALIBRATION, values.atCal3Bundler(CALIBRATION), exact))
     for (first, second), (metres, sigma) in lengths.items():
         if values.exists(pose_key(first)):

@@ -37,7 +37,7 @@ from fvslam_graph.graph.factors import (
     pose_key,
 )
 from fvslam_graph.graph.gating import contradiction
-from fvslam_graph.graph.landmark_candidates import LandmarkCandidates, Observation
+from fvslam_graph.graph.landmark_candidates import LandmarkCandidates, LandmarkObservation
 from fvslam_graph.graph.pixel_noise import PixelNoise
 from fvslam_graph.graph.scale_chain import ScaleChain
 from fvslam_graph.graph.solver import Solver
@@ -73,7 +73,7 @@ class Graph:
         self._drift_variances: list[Array] = []  # (2, 2) of all frames, see `LandmarkCandidates.ready`
         self._moves: dict[int, OdometryStep] = {}  # since the last fusion, by frame
         self._fused = 0  # the frame of the last reference P_f
-        self._views: LandmarkObservations | None = None  # of that frame
+        self._observations: LandmarkObservations | None = None  # of that frame
         self._start_height = math.nan
         self._begin_batch()
         if settings.landmarks == "projection":
@@ -112,7 +112,7 @@ class Graph:
         """Anything else that is known of poses, see `factors`; it takes effect when the graph is solved next."""
         self._factors.add(factor)
 
-    def fuse(self, views: LandmarkObservations | None) -> GaussianPose | None:
+    def fuse(self, observations: LandmarkObservations | None) -> GaussianPose | None:
         """Take in what the newest frame shows of landmarks, and solve.
 
         Motions that landmarks contradict are replaced by what these say.
@@ -122,13 +122,13 @@ class Graph:
             where the lag has left that frame behind.
         """
         index = len(self._poses) - 1
-        self._take_motions(views)
-        if views is not None and self.settings.landmarks != "none":
-            self._see(index, views)
+        self._take_motions(observations)
+        if observations is not None and self.settings.landmarks != "none":
+            self._see(index, observations)
         self._solve()
-        if views is not None:
-            self._learn(views)
-        first, self._fused, self._views = self._fused, index, views
+        if observations is not None:
+            self._learn(observations)
+        first, self._fused, self._observations = self._fused, index, observations
         if not self.has(first):
             return None
         return _motion(self.solver, pose_key(first), pose_key(index), self._poses[first], self._poses[index])
@@ -186,7 +186,7 @@ class Graph:
         estimate = self.solver.values()
         write_graph(folder, self.solver.factors(), estimate, self._scales.lengths(estimate))
 
-    def _take_motions(self, views: LandmarkObservations | None) -> None:
+    def _take_motions(self, observations: LandmarkObservations | None) -> None:
         """Append what odometry says since the last fusion.
 
         Where landmarks contradict it, where they have the camera stands in its place. In between, velocity is taken to
@@ -194,7 +194,7 @@ class Graph:
         """
         newest = len(self._poses) - 1
         recent = newest in self._moves and self._has(pose_key(self._fused))  # not beyond the lag
-        if recent and (seen := self._contradiction(newest, views)):
+        if recent and (seen := self._contradiction(newest, observations)):
             doubt = np.diag(gtsam.Pose3.Logmap(self._poses[newest].between(seen.mean)) ** 2)
             start, begin = self._poses[self._fused], self._stamps[self._fused]
             whole = GaussianPose(_between(start, seen.mean), seen.covariance)
@@ -210,12 +210,12 @@ class Graph:
             self._move(index, step)
         self._moves = {}
 
-    def _contradiction(self, index: int, views: LandmarkObservations | None) -> GaussianPose | None:
+    def _contradiction(self, index: int, observations: LandmarkObservations | None) -> GaussianPose | None:
         """Where landmarks have the camera, if motions that were not taken in yet do not lead there.
 
         They are where visual SLAM had them at the last fusion: what is wrong since has not come to its map.
         """
-        if views is None or self._views is None:
+        if observations is None or self._observations is None:
             return None
         step = self._moves[index]
         motion = ScaledPose.of(step.prev_T_cur, step.scale_variance)
@@ -223,11 +223,12 @@ class Graph:
             step = self._moves[step.previous]
             motion = ScaledPose.of(step.prev_T_cur, step.scale_variance).compose(motion)
         expected = GaussianPose(self._poses[index], motion.total.covariance)
-        _, before, now = np.intersect1d(self._views.ids, views.ids, return_indices=True)
-        points = self._poses[self._fused].transformFrom(self._views.points[before].T).T
+        _, before, now = np.intersect1d(self._observations.ids, observations.ids, return_indices=True)
+        points = self._poses[self._fused].transformFrom(self._observations.points[before].T).T
         deviation, sigma = self._landmark_factors.deviation, self._noise.sigma
-        seen = contradiction(expected, points, views.pixels[now], self._camera, deviation(sigma, 1), index)
-        inflation = (deviation(sigma, len(views.ids)) / deviation(sigma, 1)) ** 2  # no number of them averages it out
+        seen = contradiction(expected, points, observations.pixels[now], self._camera, deviation(sigma, 1), index)
+        # What all landmarks err alike is averaged out by no number of them.
+        inflation = (deviation(sigma, len(observations.ids)) / deviation(sigma, 1)) ** 2
         return None if seen is None else GaussianPose(seen.mean, inflation * seen.covariance)
 
     def _move(self, index: int, step: OdometryStep) -> None:
@@ -253,31 +254,31 @@ class Graph:
         else:
             self.add(motion_factor(step.previous, index, motion, self.settings, length=not told))
 
-    def _see(self, index: int, views: LandmarkObservations) -> None:
+    def _see(self, index: int, observations: LandmarkObservations) -> None:
         """Landmarks of the graph are seen again; others enter once they are known well enough."""
-        self._counts[index] = len(views.ids)
-        known = np.array([landmark in self._distances for landmark in views.ids.tolist()], bool)
+        self._counts[index] = len(observations.ids)
+        known = np.array([landmark in self._distances for landmark in observations.ids.tolist()], bool)
         for n in np.flatnonzero(known):
-            landmark = int(views.ids[n])
-            if self._near(landmark, views.points[n]) and self.solver.has(landmark_key(landmark)):
-                self._observe(landmark, Observation(index, views.pixels[n], views.points[n], views.covariances[n]))
+            landmark = int(observations.ids[n])
+            if self._near(landmark, observations.points[n]) and self.solver.has(landmark_key(landmark)):
+                self._observe(landmark, LandmarkObservation.of(observations, n, index))
         for candidate in self._candidates.ready(
-            index, views, known, self._poses, self._drift_variances, self._has, self._refined
+            index, observations, known, self._poses, self._drift_variances, self._has, self._refined
         ):
-            away = candidate.position - self._poses[candidate.views[0].frame].translation()
+            away = candidate.position - self._poses[candidate.observations[0].frame].translation()
             self._distances[candidate.landmark] = float(np.linalg.norm(away))
             if self.settings.landmarks == "smart":
-                seen = [(view.frame, view.pixel) for view in candidate.views]
+                seen = [(view.frame, view.pixel) for view in candidate.observations]
                 self.add(self._landmark_factors.smart(seen, self._noise.sigma, self._counts[index]))
                 continue
             point = self._linearised(index).transformFrom(self._poses[index].transformTo(candidate.position))
             self._values.insert(landmark_key(candidate.landmark), point)
-            for view in candidate.views:
+            for view in candidate.observations:
                 self._observe(candidate.landmark, view)
 
-    def _learn(self, views: LandmarkObservations) -> None:
+    def _learn(self, observations: LandmarkObservations) -> None:
         """How well the landmarks that are seen now fit where the graph has them."""
-        keys = {landmark: landmark_key(landmark) for landmark in views.ids.tolist()}
+        keys = {landmark: landmark_key(landmark) for landmark in observations.ids.tolist()}
         points = {landmark: self.solver.point(key) for landmark, key in keys.items() if self.solver.has(key)}
         self._noise.learn(points, self._poses, self._refined)
 
@@ -286,7 +287,7 @@ class Graph:
         ratio = float(np.linalg.norm(point)) / self._distances[landmark]
         return 1 / self.settings.max_zoom < ratio < self.settings.max_zoom
 
-    def _observe(self, landmark: int, view: Observation) -> None:
+    def _observe(self, landmark: int, view: LandmarkObservation) -> None:
         if self.settings.landmarks == "projection":
             count = self._counts[view.frame]
             self.add(self._landmark_factors.projection(view.frame, landmark, view.pixel, self._noise.sigma, count))

@@ -18,7 +18,7 @@ from fvslam_graph.graph.calibration import CALIBRATION, SelfCalibration
 
 Array = NDArray[np.float64]
 
-LEAST_VARIANCE = 1e-10  # rad^2 and m^2: no factor is exact, and what is known of a whole path is of the order of 1
+MIN_VARIANCE = 1e-10  # rad^2 and m^2: no factor is exact, and what is known of a whole path is of the order of 1
 TIGHT = (
     1e-3  # share of its covariance that a motion gets for being told in two steps: what is exact, solvers do not like
 )
@@ -121,7 +121,7 @@ def motion_noise(prev_T_cur: GaussianPose, settings: GraphSettings, length: bool
 def _counted(motion: GaussianPose, settings: GraphSettings) -> Array:
     """Its covariance (6, 6), where pixels of landmarks are not to count twice."""
     factor = settings.deflation if settings.shared_pixels == "deflate" else 1.0
-    counted: Array = factor * motion.covariance + LEAST_VARIANCE * np.eye(6)
+    counted: Array = factor * motion.covariance + MIN_VARIANCE * np.eye(6)
     return counted
 
 
@@ -207,7 +207,7 @@ class LandmarkFactors:
         distance = float(np.linalg.norm(point))
         bearing = gtsam.Unit3(point)
         J_point = np.vstack([bearing.basis().T / distance, point[None] / distance])
-        noise = gtsam.noiseModel.Gaussian.Covariance(J_point @ covariance @ J_point.T + LEAST_VARIANCE * np.eye(3))
+        noise = gtsam.noiseModel.Gaussian.Covariance(J_point @ covariance @ J_point.T + MIN_VARIANCE * np.eye(3))
         keys = pose_key(frame), landmark_key(landmark)
         return gtsam.BearingRangeFactor3D(*keys, bearing, distance, robust(noise, self._settings))
 
@@ -236,5 +236,5 @@ def position_factor(frame: int, position: Array, sigma: float) -> gtsam.Nonlinea
 
 def pose_factor(frame: int, pose: GaussianPose) -> gtsam.NonlinearFactor:
     """A known pose world_T_camera, such as that of the start."""
-    noise = gtsam.noiseModel.Gaussian.Covariance(pose.covariance + LEAST_VARIANCE * np.eye(6))
+    noise = gtsam.noiseModel.Gaussian.Covariance(pose.covariance + MIN_VARIANCE * np.eye(6))
     return gtsam.PriorFactorPose3(pose_key(frame), pose.mean, noise)

@@ -12,11 +12,11 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 
 Array = NDArray[np.float64]
 
-GATE = 13.816  # 99.9 % quantile of the chi-square distribution with two degrees of freedom
+CONTRADICTION_GATE = 13.816  # 99.9 % quantile of the chi-square distribution with two degrees of freedom
 MIN_LANDMARKS = 12  # that agree on where the camera is,
-MIN_SHARE = 0.5  # and of those that are seen
+MIN_AGREEING_SHARE = 0.5  # and of those that are seen
 MAX_CONDITION = 1e14
-NEAREST = 0.05  # metres in front of a camera
+MIN_DEPTH = 0.05  # metres in front of a camera
 WIDTH = 5.0  # standard deviations of a pixel, within which a landmark agrees
 
 
@@ -43,14 +43,14 @@ def contradiction(
     innovation, J_pose = _innovations(expected.mean, points, pixels, camera)
     S = J_pose @ expected.covariance @ J_pose.mT + (WIDTH * sigma) ** 2 * np.eye(2)
     distances = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(axis=1)
-    if float(np.median(distances)) < GATE:
+    if float(np.median(distances)) < CONTRADICTION_GATE:
         return None
     square = camera.fx * camera.normalize(pixels)
     model = {"model": "SIMPLE_PINHOLE", "width": camera.width, "height": camera.height, "params": [camera.fx, 0, 0]}
     ransac = {"max_reproj_error": WIDTH * sigma, "seed": seed}
     found, info = poselib.estimate_absolute_pose(square, points, model, ransac, {})
     agree = np.array(info["inliers"], bool)
-    if agree.sum() < max(MIN_LANDMARKS, MIN_SHARE * len(points)):
+    if agree.sum() < max(MIN_LANDMARKS, MIN_AGREEING_SHARE * len(points)):
         return None
     pose = gtsam.Pose3(gtsam.Rot3(found.R), found.t).inverse()
     _, J_pose = _innovations(pose, points[agree], pixels[agree], camera)
@@ -61,7 +61,7 @@ def contradiction(
 def _innovations(pose: gtsam.Pose3, points: Array, pixels: Array, camera: Camera) -> tuple[Array, Array]:
     """How far pixels are from where a camera would see points, (N, 2), and the derivative of that place, (N, 2, 6)."""
     x, y, z = ((points - pose.translation()) @ pose.rotation().matrix()).T
-    near = 1 / np.maximum(z, NEAREST)  # what is behind the camera is far from where it is seen
+    near = 1 / np.maximum(z, MIN_DEPTH)  # what is behind the camera is far from where it is seen
     x, y, zero = x * near, y * near, np.zeros_like(z)
     # A pose perturbed by (w, v) on the right sees the point at p + [p]x w - v.
     J_pose = camera.fx * np.stack(

@@ -16,15 +16,15 @@ from fvslam_graph.graph.factors import pose_key
 
 Array = NDArray[np.float64]
 
-NEAREST = 0.05  # metres in front of the camera
-PATIENCE = 30  # frames after which a landmark that was not seen again is given up
-GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
+MIN_DEPTH = 0.05  # metres in front of the camera
+MAX_UNSEEN_FRAMES = 30  # frames after which a landmark that was not seen again is given up
+TRIANGULATION_GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
 UNIT_CALIBRATION = gtsam.Cal3_S2()  # of normalised coordinates
 RANK_TOLERANCE = 1e-9  # of the triangulation
 
 
 @dataclass(frozen=True)
-class Observation:
+class LandmarkObservation:
     """A landmark in one frame: its pixel (2,), and its point (3,) in the camera with covariance (3, 3), metres."""
 
     frame: int
@@ -32,13 +32,18 @@ class Observation:
     point: Array
     covariance: Array
 
+    @classmethod
+    def of(cls, observations: LandmarkObservations, row: np.intp, frame: int) -> LandmarkObservation:
+        """One of the landmarks that a frame shows."""
+        return cls(frame, observations.pixels[row], observations.points[row], observations.covariances[row])
+
 
 @dataclass
 class LandmarkCandidate:
     """A landmark with its views so far, and where these meet in the world, (3,)."""
 
     landmark: int
-    views: list[Observation] = field(default_factory=list)
+    observations: list[LandmarkObservation] = field(default_factory=list)
     position: Array = field(default_factory=lambda: np.full(3, np.nan))
     parallax: float = 0.0  # pixels, between the first and the last view
 
@@ -60,7 +65,7 @@ class LandmarkCandidates:
     def ready(
         self,
         frame: int,
-        views: LandmarkObservations,
+        observations: LandmarkObservations,
         known: NDArray[np.bool_],
         poses: list[gtsam.Pose3],
         drift_variances: list[Array],
@@ -71,7 +76,7 @@ class LandmarkCandidates:
 
         Args:
             frame: Index.
-            views: Of N landmarks.
+            observations: Of N landmarks.
             known: (N,) which of them are in the graph already.
             poses: world_T_camera of all frames up to this one.
             drift_variances: (2, 2) of all frames: variance (rad^2, m^2, along an axis) of odometry's drift until there,
@@ -81,32 +86,34 @@ class LandmarkCandidates:
         """
         ready = []
         for n in np.flatnonzero(~known):
-            landmark = int(views.ids[n])
+            landmark = int(observations.ids[n])
             candidate = self._waiting.setdefault(landmark, LandmarkCandidate(landmark))
-            candidate.views.append(Observation(frame, views.pixels[n], views.points[n], views.covariances[n]))
-            if len(candidate.views) >= self._settings.min_views and self._meets(
+            candidate.observations.append(LandmarkObservation.of(observations, n, frame))
+            if len(candidate.observations) >= self._settings.min_views and self._meets(
                 candidate, poses, drift_variances, camera
             ):
                 ready.append(candidate)
-        ready.sort(key=lambda candidate: (len(candidate.views), candidate.parallax), reverse=True)
+        ready.sort(key=lambda candidate: (len(candidate.observations), candidate.parallax), reverse=True)
         ready = ready[: self._settings.max_new]
         for candidate in ready:
             del self._waiting[candidate.landmark]
-            candidate.views = [view for view in candidate.views if view.frame == frame or has(pose_key(view.frame))]
+            candidate.observations = [
+                view for view in candidate.observations if view.frame == frame or has(pose_key(view.frame))
+            ]
         self._waiting = {
             landmark: candidate
             for landmark, candidate in self._waiting.items()
-            if candidate.views[-1].frame > frame - PATIENCE
+            if candidate.observations[-1].frame > frame - MAX_UNSEEN_FRAMES
         }
-        return [candidate for candidate in ready if len(candidate.views) >= self._settings.min_views]
+        return [candidate for candidate in ready if len(candidate.observations) >= self._settings.min_views]
 
     def _meets(
         self, candidate: LandmarkCandidate, poses: list[gtsam.Pose3], drift_variances: list[Array], camera: Camera
     ) -> bool:
         """Triangulate; whether the views agree, up to how well odometry knows the poses to each other."""
-        seen_from = [poses[view.frame] for view in candidate.views]
-        pixels = np.array([view.pixel for view in candidate.views])
-        last = seen_from[-1].rotation().matrix() @ candidate.views[-1].point
+        seen_from = [poses[view.frame] for view in candidate.observations]
+        pixels = np.array([view.pixel for view in candidate.observations])
+        last = seen_from[-1].rotation().matrix() @ candidate.observations[-1].point
         first = last + seen_from[-1].translation() - seen_from[0].translation()
         angle = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
         candidate.parallax = float(angle * camera.fx)
@@ -121,7 +128,7 @@ class LandmarkCandidates:
         candidate.position = point
         there = np.array([pose.transformTo(point) for pose in seen_from])
         error = camera.project(there) - pixels
-        begin, end = drift_variances[candidate.views[0].frame], drift_variances[candidate.views[-1].frame]
+        begin, end = drift_variances[candidate.observations[0].frame], drift_variances[candidate.observations[-1].frame]
         turned, moved = end[0] + begin[0] - 2 * begin[1]  # both are known from where the first one's motion starts
         variance = self._settings.pixel_sigma**2 + camera.fx**2 * (turned + moved / there[:, 2] ** 2)
-        return bool((there[:, 2] > NEAREST).all() and ((error**2).sum(axis=1) < GATE * variance).all())
+        return bool((there[:, 2] > MIN_DEPTH).all() and ((error**2).sum(axis=1) < TRIANGULATION_GATE * variance).all())

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from fvslam_graph.graph.calibration import CALIBRATION
 from fvslam_graph.graph.factors import is_landmark, is_pose
-from fvslam_graph.graph.landmark_candidates import NEAREST
+from fvslam_graph.graph.landmark_candidates import MIN_DEPTH
 
-FARTHEST = 1e6  # metres; a landmark known less well than that is not determined
+MAX_DISTANCE = 1e6  # metres; a landmark known less well than that is not determined
 
 
 class LandmarkMarginal:
@@ -44,7 +44,9 @@ class LandmarkMarginal:
     def undetermined(self) -> list[int]:
         """Landmarks of which the factors do not tell where they are, whatever the poses."""
         sharpness = np.abs(np.diag(self._by_poses.R())).reshape(-1, 3).min(axis=1)  # 1/metres
-        return [landmark for landmark, sharp in zip(self.landmarks, sharpness, strict=True) if not sharp > 1 / FARTHEST]
+        return [
+            landmark for landmark, sharp in zip(self.landmarks, sharpness, strict=True) if not sharp > 1 / MAX_DISTANCE
+        ]
 
     def insert_landmarks(self, values: gtsam.Values) -> None:
         """Add the landmarks to values of the poses, where they are most likely for these."""
@@ -141,6 +143,6 @@ def astray(factors: gtsam.NonlinearFactorGraph, estimate: gtsam.Values) -> set[i
         factor = factors.at(slot)
         if isinstance(factor, gtsam.GeneralSFMFactor2Cal3Bundler):
             pose, landmark, _ = factor.keys()
-            if not NEAREST < estimate.atPose3(pose).transformTo(estimate.atPoint3(landmark))[2] < FARTHEST:
+            if not MIN_DEPTH < estimate.atPose3(pose).transformTo(estimate.atPoint3(landmark))[2] < MAX_DISTANCE:
                 found.add(landmark)
     return found

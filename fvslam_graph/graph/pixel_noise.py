@@ -12,8 +12,8 @@ from fvslam_graph.core.camera import Camera
 
 Array = NDArray[np.float64]
 
-LEAST = 20  # numbers that tell a noise
-SMOOTHING = 0.1  # weight of the newest frame
+MIN_FREE_NUMBERS = 20  # numbers that tell a noise
+NOISE_SMOOTHING = 0.1  # weight of the newest frame
 BY_MEDIAN = 1 / 0.6745  # deviation of a normal distribution by the median of absolute values
 
 
@@ -47,7 +47,7 @@ class PixelNoise:
         frames = np.array([frame for views in self._views.values() for frame, _ in views], np.intp)
         pixels = np.array([pixel for views in self._views.values() for _, pixel in views])
         free = 2 * len(pixels) - 3 * len(self._views)
-        if free < LEAST:
+        if free < MIN_FREE_NUMBERS:
             return
         counts = [len(views) for views in self._views.values()]
         there = np.repeat([points[landmark] for landmark in self._views], counts, axis=0)
@@ -57,4 +57,4 @@ class PixelNoise:
         error = camera.project(seen) - pixels
         variance = (BY_MEDIAN * float(np.median(np.abs(error)))) ** 2 * error.size / free
         if math.isfinite(variance):  # a landmark may have come to lie in a camera
-            self.sigma = math.sqrt(self.sigma**2 + SMOOTHING * (variance - self.sigma**2))
+            self.sigma = math.sqrt(self.sigma**2 + NOISE_SMOOTHING * (variance - self.sigma**2))

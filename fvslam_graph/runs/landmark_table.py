@@ -16,7 +16,7 @@ _NUMBERS = (
     *("expected_u", "expected_v", "ellipse_uu", "ellipse_uv", "ellipse_vv", "u", "v"),
     *("x", "y", "z", "cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz"),
 )
-COLUMNS = ("frame", "id", "outcome", "age", *_NUMBERS)
+LANDMARK_COLUMNS = ("frame", "id", "outcome", "age", *_NUMBERS)
 
 
 def landmark_rows(slam: SlamEstimate) -> str:
@@ -24,17 +24,17 @@ def landmark_rows(slam: SlamEstimate) -> str:
 
     A landmark that was not found has no pixel, one that was dropped no position; these cells are empty.
     """
-    searched, kept = slam.searched, slam.landmarks
-    ids = np.union1d(searched.ids, kept.ids)
+    matches, kept = slam.matches, slam.landmarks
+    ids = np.union1d(matches.ids, kept.ids)
     values = np.full((len(ids), len(_NUMBERS)), np.nan)
     outcomes = np.full(len(ids), NEW, dtype=object)
     ages = np.full(len(ids), -1)
     new = np.searchsorted(ids, kept.ids[kept.ages == 0])
     values[new, 5:7] = kept.pixels[kept.ages == 0]
-    rows = np.searchsorted(ids, searched.ids)
-    ellipses = searched.ellipses.reshape(-1, 4)[:, [0, 1, 3]]
-    values[rows, :7] = np.hstack([searched.expected, ellipses, searched.pixels])
-    outcomes[rows] = [MatchOutcome(outcome).name.lower() for outcome in searched.outcome]
+    rows = np.searchsorted(ids, matches.ids)
+    ellipses = matches.ellipses.reshape(-1, 4)[:, [0, 1, 3]]
+    values[rows, :7] = np.hstack([matches.expected, ellipses, matches.pixels])
+    outcomes[rows] = [MatchOutcome(outcome).name.lower() for outcome in matches.outcome]
     rows = np.searchsorted(ids, kept.ids)
     values[rows, 7:] = np.hstack([kept.points, kept.covariances.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]])
     ages[rows] = kept.ages
@@ -52,9 +52,9 @@ def read_landmarks(path: Path, frame: int) -> dict[str, NDArray[np.generic]]:
         ValueError: The file is damaged.
     """
     lines = read_text(path, ResultsError, OWN_MAX_SIZE).splitlines()[1:]
-    cells = np.array([line.split(",") for line in lines if line.startswith(f"{frame},")]).reshape(-1, len(COLUMNS))
-    columns: dict[str, NDArray[np.generic]] = {"outcome": cells[:, COLUMNS.index("outcome")]}
+    cells = np.array([line.split(",") for line in lines if line.startswith(f"{frame},")]).reshape(-1, len(LANDMARK_COLUMNS))
+    columns: dict[str, NDArray[np.generic]] = {"outcome": cells[:, LANDMARK_COLUMNS.index("outcome")]}
     for name in ("id", *_NUMBERS):
-        column = cells[:, COLUMNS.index(name)]
+        column = cells[:, LANDMARK_COLUMNS.index(name)]
         columns[name] = np.where(column == "", "nan", column).astype(float)
     return columns

@@ -89,7 +89,7 @@ def smooth(graph: SmoothedGraph | None) -> tuple[Trajectory | None, dict[str, An
 def collect(
     results: Iterable[FrameResult],
     config: BaseModel,
-    facts: Mapping[str, Any],
+    metadata: Mapping[str, Any],
     ground_truth: Trajectory | None = None,
 ) -> Run:
     """A run in memory, from what an estimator says frame by frame; the arguments are those of `RunWriter`."""
@@ -101,13 +101,13 @@ def collect(
     ]
     smoothed, said = smooth(results[-1].graph)
     return Run(
-        name="-".join(str(facts[key]) for key in ("sequence", "mode")),
+        name="-".join(str(metadata[key]) for key in ("sequence", "mode")),
         online=Trajectory(np.array([result.stamp for result in results]), tuple(r.pose.mean for r in results)),
         smoothed=smoothed,
         ground_truth=ground_truth,
         frames={name: np.array([row[name] for row in rows]) for name in rows[0]},
         config=config.model_dump(mode="json"),
-        info={"status": "finished", **facts, **said},
+        info={"status": "finished", **metadata, **said},
         relatives=Relatives(
             np.array([result.previous for result in results], dtype=np.int64),
             np.array([result.relative.mean.matrix() for result in results]),

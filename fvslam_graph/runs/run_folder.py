@@ -31,7 +31,7 @@ from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
 from fvslam_graph.core.trajectory import Status, Trajectory, kitti_line, tum_line
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
-from fvslam_graph.runs.landmark_table import COLUMNS, landmark_rows
+from fvslam_graph.runs.landmark_table import LANDMARK_COLUMNS, landmark_rows
 from fvslam_graph.runs.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind_of
 from fvslam_graph.runs.provenance import peak_memory_mb, provenance
 from fvslam_graph.runs.results import Relatives, Run, smooth
@@ -39,9 +39,9 @@ from fvslam_graph.runs.results import Relatives, Run, smooth
 ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
 SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"
 GROUND_TRUTH, FRAMES, COVARIANCES = "ground_truth.tum", "frames.csv", "covariances.npz"
-CONFIG, METRICS, REFERENCE = "config.yaml", "metrics.json", "reference.tum"
+CONFIG, METRICS_FILE, REFERENCE = "config.yaml", "metrics.json", "reference.tum"
 LANDMARKS = "landmarks.csv"
-GRAPH = (G2O, LANDMARKS_PLY, FACTORS, VALUES)
+GRAPH_FILES = (G2O, LANDMARKS_PLY, FACTORS, VALUES)
 
 ROUNDING = 1e-6  # share of its largest variance by which a covariance may be negative
 UNFINISHED = "unfinished"  # a folder for a new run where a finished one is kept until that, too, is finished
@@ -49,8 +49,8 @@ UNFINISHED = "unfinished"  # a folder for a new run where a finished one is kept
 # Everything that a run, its evaluation and its plots leave in the folder; a new run into the same folder removes it.
 _OURS = (
     *(ONLINE, ONLINE_KITTI, SMOOTHED, SMOOTHED_KITTI, GROUND_TRUTH, FRAMES, COVARIANCES, CONFIG, INFO),
-    *GRAPH,
-    *(LANDMARKS, METRICS, REFERENCE),
+    *GRAPH_FILES,
+    *(LANDMARKS, METRICS_FILE, REFERENCE),
     *(f"{error}_{part}.zip" for error in ("ape", "rpe", "rpe_1m") for part in ("trans", "rot")),
     *(f"row_{align}.json" for align in ("none", "origin", "se3", "sim3")),
     *(f"plot_{name}.{kind}" for name in ("trajectory", "speed", "features", "error") for kind in ("png", "pdf")),
@@ -72,7 +72,7 @@ class RunWriter:
         folder: Created. A finished run that it holds is kept until this one is finished, too, which is in the folder
             `unfinished` of it until then; any other run is replaced.
         config: The effective settings.
-        facts: Go into run.json. Known to evaluation and plots: `sequence` (name), `frames` (how many the sequence has),
+        metadata: Go into run.json. Known to evaluation and plots: `sequence` (name), `frames` (how many the sequence has),
             `mode`, `scale_source`, `down` (3,), the direction of gravity in the first camera frame (None: unknown), and
             `source`, what `open_sequence` takes to open the recording again.
         ground_truth: Kept with the run, so that it can be evaluated without the recording.
@@ -82,11 +82,11 @@ class RunWriter:
     """
 
     def __init__(
-        self, folder: Path, config: BaseModel, facts: Mapping[str, Any], ground_truth: Trajectory | None = None
+        self, folder: Path, config: BaseModel, metadata: Mapping[str, Any], ground_truth: Trajectory | None = None
     ) -> None:
         self.folder = folder
         self._config = config
-        self._facts = dict(facts)
+        self._metadata = dict(metadata)
         self._ground_truth = ground_truth
         self._results: list[FrameResult] = []
         self._landmarks: TextIO | None = None
@@ -170,7 +170,7 @@ class RunWriter:
 
     def _write_graph(self) -> None:
         smoothed, said = smooth(self._graph)
-        self._facts |= said
+        self._metadata |= said
         if self._graph is not None and smoothed is not None:
             _write_tum(self._place / SMOOTHED, smoothed)
             write_file(self._place / SMOOTHED_KITTI, "".join(map(kitti_line, smoothed.poses)))
@@ -188,12 +188,12 @@ class RunWriter:
     def _write_landmarks(self, slam: SlamEstimate) -> None:
         if self._landmarks is None:
             self._landmarks = self._stack.enter_context((self._place / LANDMARKS).open("w"))
-            self._landmarks.write(",".join(COLUMNS) + "\n")
+            self._landmarks.write(",".join(LANDMARK_COLUMNS) + "\n")
         self._landmarks.write(landmark_rows(slam))
         self._landmarks.flush()
 
     def _write_info(self, status: str) -> None:
-        info = {"status": status, **self._facts, **provenance(), "totals": self._totals()}
+        info = {"status": status, **self._metadata, **provenance(), "totals": self._totals()}
         write_json(self._place / INFO, info)
 
     def _totals(self) -> dict[str, Any]:

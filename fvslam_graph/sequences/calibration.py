@@ -16,9 +16,9 @@ from fvslam_graph.sequences.plausibility import distorts_oddly, make_camera, pin
 from fvslam_graph.sequences.tables import CalibrationText
 
 _MODEL = ("distortion_model",)
-_COEFFICIENTS = ("distortion_coefficients", "distortion_coeffs", "dist_coeffs", "D")
+_COEFFICIENT_KEYS = ("distortion_coefficients", "distortion_coeffs", "dist_coeffs", "D")
 _MATRIX = ("camera_matrix", "K")
-_RATE = ("rate", "rate_hz", "fps", "Camera.fps")
+_RATE_KEYS = ("rate", "rate_hz", "fps", "Camera.fps")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Calibration:
 
 
 @dataclass(frozen=True)
-class Layout:
+class CalibrationLayout:
     """How a tool writes calibrations.
 
     Attributes:
@@ -71,7 +71,7 @@ def read_calibration(path: Path) -> Calibration:
     if layout.key == "cam0":
         entries = entries.section("cam0")
     camera = layout.camera(entries)
-    rate = entries.number(*_RATE) if entries.has(*_RATE) else entries.get(*_RATE)
+    rate = entries.number(*_RATE_KEYS) if entries.has(*_RATE_KEYS) else entries.get(*_RATE_KEYS)
     body_T_camera = _body_T_camera(entries)
     notes: tuple[str, ...] = ()
     if left := entries.left(layout.others):
@@ -150,12 +150,12 @@ def _orbslam(entries: Entries) -> Camera:
 _KALIBR = "camoverlaps|rostopic|tcncnm1|timeshiftcamimu|linedelay"
 _ORBSLAM = r"(?!camera1?\.).*|camera\.(bf|rgb|newwidth|newheight)"
 LAYOUTS = (
-    Layout("Kalibr", "cam0", _list, _KALIBR),
-    Layout("EuRoC", "intrinsics", _list, f"sensortype|comment|{_KALIBR}"),
-    Layout("VINS-Fusion", "projection_parameters", _vins, ".*"),
-    Layout("ORB-SLAM", "Camera.fx", _orbslam, _ORBSLAM),
-    Layout("ORB-SLAM3", "Camera1.fx", _orbslam, _ORBSLAM),
-    Layout(
+    CalibrationLayout("Kalibr", "cam0", _list, _KALIBR),
+    CalibrationLayout("EuRoC", "intrinsics", _list, f"sensortype|comment|{_KALIBR}"),
+    CalibrationLayout("VINS-Fusion", "projection_parameters", _vins, ".*"),
+    CalibrationLayout("ORB-SLAM", "Camera.fx", _orbslam, _ORBSLAM),
+    CalibrationLayout("ORB-SLAM3", "Camera1.fx", _orbslam, _ORBSLAM),
+    CalibrationLayout(
         "OpenCV, ROS, this package",
         "camera_matrix",
         _matrix,
@@ -163,7 +163,7 @@ LAYOUTS = (
         "|avgreprojectionerror|perviewreprojectionerrors|imagepoints|gridpoints|extrinsicparameters"
         "|cameraname|(rectification|projection)matrix|tbs|comment",
     ),
-    Layout("ROS's camera_info", "K", _matrix, "header|r|p"),
+    CalibrationLayout("ROS's camera_info", "K", _matrix, "header|r|p"),
 )
 
 
@@ -180,7 +180,7 @@ def _size(entries: Entries) -> list[float]:
 
 
 def _coefficients(entries: Entries) -> list[float] | None:
-    return entries.numbers(*_COEFFICIENTS) if entries.has(*_COEFFICIENTS) else entries.get(*_COEFFICIENTS)
+    return entries.numbers(*_COEFFICIENT_KEYS) if entries.has(*_COEFFICIENT_KEYS) else entries.get(*_COEFFICIENT_KEYS)
 
 
 def _body_T_camera(entries: Entries) -> gtsam.Pose3 | None:

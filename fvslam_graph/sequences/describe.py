@@ -9,7 +9,7 @@ from fvslam_graph.core.sequence import Ground, Sequence
 from fvslam_graph.core.trajectory import Trajectory
 
 GAP = 1.5  # medians between two stamps that make a gap
-LISTED = 5  # gaps that are listed one by one
+MAX_GAPS_LISTED = 5  # gaps that are listed one by one
 
 
 def describe(sequence: Sequence) -> list[tuple[str, str]]:
@@ -64,5 +64,7 @@ def _gaps(stamps: NDArray[np.float64]) -> str:
     gaps = np.flatnonzero(steps > GAP * np.median(steps)) if len(steps) else np.empty(0, int)
     if not len(gaps):
         return "none"
-    listed = ", ".join(f"{steps[gap]:.2f} s after frame {gap}" for gap in gaps[:LISTED])
-    return f"{len(gaps)}: {listed}" + (f" and {len(gaps) - LISTED} more" if len(gaps) > LISTED else "")
+    listed = ", ".join(f"{steps[gap]:.2f} s after frame {gap}" for gap in gaps[:MAX_GAPS_LISTED])
+    return f"{len(gaps)}: {listed}" + (
+        f" and {len(gaps) - MAX_GAPS_LISTED} more" if len(gaps) > MAX_GAPS_LISTED else ""
+    )

@@ -15,7 +15,7 @@ from fvslam_graph.sequences.tables import require_increasing
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp", ".tif", ".tiff", ".webp"}
 MAX_NUMBER = 9_999_999  # of an image; more is a stamp
-LISTED = 10  # runs of numbers that are listed
+MAX_FILES_LISTED = 10  # runs of numbers that are listed
 EPOCH = (946_684_800, 4_102_444_800)  # seconds since 1970 of the years 2000 and 2100
 UNITS = {"seconds": 1, "milliseconds": 10**3, "microseconds": 10**6, "nanoseconds": 10**9}
 
@@ -96,8 +96,8 @@ def ranges(numbers: Sequence[int]) -> str:
             runs[-1][1:] = [number]
         else:
             runs.append([number])
-    listed = ", ".join("-".join(map(str, run)) for run in runs[:LISTED])
-    return listed + (f" and {len(runs) - LISTED} more such" if len(runs) > LISTED else "")
+    listed = ", ".join("-".join(map(str, run)) for run in runs[:MAX_FILES_LISTED])
+    return listed + (f" and {len(runs) - MAX_FILES_LISTED} more such" if len(runs) > MAX_FILES_LISTED else "")
 
 
 def only_one(folder: Path, found: Sequence[Path], noun: str) -> Path:

@@ -16,7 +16,7 @@ from fvslam_graph.core.errors import CameraError, SequenceError
 from fvslam_graph.sequences.files import count_of, ranges
 
 MAX_BYTES = 500_000_000  # of a file; the largest image has 200 MB, uncompressed
-SAMPLE = 10  # images that are looked at on opening, spread over the recording
+IMAGES_LOOKED_AT = 10  # images that are looked at on opening, spread over the recording
 DEPTHS = (8, 10, 12, 14, 16)  # bits that cameras have
 
 _PNG, _PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
@@ -89,7 +89,7 @@ class ImageFiles:
         files = [path for path in paths if path is not None]
         if not files:
             raise SequenceError("the recording lists no images")
-        chosen = sorted(set(np.linspace(0, len(files) - 1, SAMPLE).round().astype(int).tolist()))
+        chosen = sorted(set(np.linspace(0, len(files) - 1, IMAGES_LOOKED_AT).round().astype(int).tolist()))
         levels = {file: decode(file) for file in (files[index] for index in chosen)}
         if all(image is None for image in levels.values()):
             file, image = next(((file, image) for file in files if (image := decode(file)) is not None), (None, None))

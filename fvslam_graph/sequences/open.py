@@ -65,7 +65,7 @@ def open_sequence(
     sequence = _synthetic(path) if str(path).startswith("synthetic:") else _recorded(Path(path), format)
     sequence = override_ground(sequence, camera_height, camera_pitch).select(start, stop, stride)
     if camera_k1 is not None:
-        sequence = sequence.straightened(camera_k1)
+        sequence = sequence.undistorted(camera_k1)
     if scale != 1:
         sequence = sequence.scaled(scale)
     source = {

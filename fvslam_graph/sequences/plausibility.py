@@ -29,7 +29,7 @@ MIN_VIEW, MAX_VIEW = 5.0, 175.0  # degrees from side to side, as a pinhole; outs
 MAX_ASPECT = 3.0  # of the focal lengths
 MAX_SKEW = 1e-3  # of the focal length: a quarter of a pixel in the corners
 MAX_TANGENTIAL = 0.03  # of p1 and p2; ten times what lenses have
-MAX_DIFFERENCE = 1.2  # ratio of the focal lengths from which on a note says so
+MAX_FOCAL_RATIO = 1.2  # ratio of the focal lengths from which on a note says so
 MAX_ASIDE = 0.15  # of the image's size, principal point off the middle; more, unless images are cut, is a mistake
 FOLDED = 1.0  # pixels
 
@@ -116,7 +116,7 @@ def doubts(camera: Camera) -> tuple[str, ...]:
             f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of the "
             f"{camera.width}x{camera.height} pixels: is the calibration that of these images?"
         )
-    if not 1 / MAX_DIFFERENCE <= camera.fx / camera.fy <= MAX_DIFFERENCE:
+    if not 1 / MAX_FOCAL_RATIO <= camera.fx / camera.fy <= MAX_FOCAL_RATIO:
         notes.append(f"the focal lengths differ much, fx={camera.fx:g}, fy={camera.fy:g}: is their order fx fy cx cy?")
     return tuple(notes)
 

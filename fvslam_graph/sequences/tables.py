@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.errors import CameraError, SequenceError, TrajectoryError
 from fvslam_graph.core.text_files import read_text
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.core.trajectory_files import FARTHEST
+from fvslam_graph.core.trajectory_files import MAX_POSITION
 
 MIN_STEP = 1e-6  # seconds; stamps since 1970 are held to a quarter of that
 MIN_RATE, MAX_RATE = 0.1, 1e4  # frames a second, by the median
@@ -96,7 +96,7 @@ def require_rows(path: Path, rows: int, last: int) -> None:
 def make_trajectory(path: Path, stamps: NDArray[np.float64], poses: Sequence[gtsam.Pose3]) -> Trajectory:
     """A trajectory whose errors name the file it comes from; raises TrajectoryError."""
     away = max((float(np.abs(pose.translation()).max()) for pose in poses), default=0.0)
-    if not away <= FARTHEST:
+    if not away <= MAX_POSITION:
         raise TrajectoryError(f"{path} has a pose with the number {away:g}, which is no place in metres")
     try:
         return Trajectory(stamps, tuple(poses))

@@ -19,7 +19,7 @@ FORMAT = "tum-rgbd"
 LAYOUT = "rgb.txt"
 
 # The benchmark publishes the calibration on its page, not in the recordings. Freiburg 3 comes undistorted.
-CAMERAS = {
+FREIBURG_CAMERAS = {
     "freiburg1": Camera(
         640, 480, 517.3, 516.5, 318.6, 255.3, Distortion.RADTAN, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
     ),
@@ -68,9 +68,10 @@ def _calibration(path: Path) -> tuple[Path | str, Calibration]:
     own = path / "camera.yaml"
     if own.exists():
         return own, read_calibration(own)
-    for name, camera in CAMERAS.items():
+    for name, camera in FREIBURG_CAMERAS.items():
         if name in str(path).lower():
             return f"the published calibration of {name}", Calibration(camera)
     raise CameraError(
-        f"{path} has no camera.yaml, and its name does not say whose calibration to take ({', '.join(CAMERAS)})"
+        f"{path} has no camera.yaml, and its name does not say whose calibration to take "
+        f"({', '.join(FREIBURG_CAMERAS)})"
     )

@@ -18,7 +18,7 @@ from fvslam_graph.sequences.tables import MAX_RATE, MIN_RATE, MIN_STEP, even_sta
 FORMAT = "video"
 LAYOUT = "a video file with a .yaml of the same name or a camera.yaml beside it"
 
-SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg"}
+VIDEO_SUFFIXES = {".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg"}
 DEFAULT_RATE = 30.0  # Hz
 WHOLE = 0.95  # of the frames that a header promises; some count from the duration
 UNSTEADY = 0.003  # seconds between two steps from which on a note says so; some files hold milliseconds
@@ -26,7 +26,7 @@ UNSTEADY = 0.003  # seconds between two steps from which on a note says so; some
 
 def matches(path: Path) -> bool:
     """Whether this is a video file, by its suffix."""
-    return path.is_file() and path.suffix.lower() in SUFFIXES
+    return path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES
 
 
 def read(path: Path) -> Sequence:

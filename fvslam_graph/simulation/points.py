@@ -23,14 +23,14 @@ Surface = Callable[[Array, Array, np.random.Generator], Array]
 """Origins (N, 3) and directions (N, 3) of rays, world, to how many directions away something is seen, (N,)."""
 
 _DIGITS = 4  # pixels that hold a frame's number
-_NEAREST = 0.5  # metres; nearer landmarks are not seen
+_NEAREST_LANDMARK = 0.5  # metres; nearer landmarks are not seen
 _HOUSES = 8.5  # metres from the middle of the street
-_REACH = 60.0  # metres; how far along the street landmarks are seen
+_STREET_REACH = 60.0  # metres; how far along the street landmarks are seen
 _CLUTTER = 0.3  # share of landmarks that stand in front of walls and road
 _RELIEF = 0.35  # metres, standard deviation of the ground below the UAV
 
 
-class Observation(NamedTuple):
+class SceneObservation(NamedTuple):
     """Landmarks seen in one frame: ids (N,) ascending, pixels (N, 2), and which pixels (N,) are somewhere else."""
 
     ids: NDArray[np.int64]
@@ -76,7 +76,7 @@ class PointScene:
     def __len__(self) -> int:
         return len(self.trajectory)
 
-    def observe(self, frame: int) -> Observation:
+    def observe(self, frame: int) -> SceneObservation:
         """What is seen in a frame; the same whenever and in whatever order frames are asked for."""
         pixels, inside = self._project(frame)
         alive = (self.lives[:, 0] <= frame) & (frame < self.lives[:, 1])
@@ -86,7 +86,7 @@ class PointScene:
         anywhere = rng.uniform(0, (self.camera.width - 1, self.camera.height - 1), pixels.shape)
         is_outlier = rng.random(len(pixels)) < self.outliers
         seen = np.where(is_outlier[:, None], anywhere, pixels + noise)
-        return Observation(ids, seen[ids], is_outlier[ids])
+        return SceneObservation(ids, seen[ids], is_outlier[ids])
 
     def sequence(self, name: str) -> Sequence:
         """The scene as a recording whose images show nothing but their number, see `frame_number`."""
@@ -132,7 +132,7 @@ class PointScene:
         points = self.in_camera(frame)
         pixels = self.camera.project(points)
         inside = np.all((pixels >= 0) & (pixels <= (self.camera.width - 1, self.camera.height - 1)), axis=1)
-        return pixels, inside & (points[:, 2] > _NEAREST) & (points[:, 2] < self.reach)
+        return pixels, inside & (points[:, 2] > _NEAREST_LANDMARK) & (points[:, 2] < self.reach)
 
 
 def frame_number(image: Image) -> int:
@@ -211,13 +211,13 @@ def simulate_drive(frames: int = 100, seed: int = 0, **options: Any) -> PointSce
         _, sideways, up = directions.T
         to_wall = (np.copysign(_HOUSES, sideways) - lateral) / sideways
         to_road = np.where(up < 0, -origins[:, 2] / np.minimum(up, -1e-9), np.inf)
-        depths: Array = np.minimum(np.minimum(to_wall, to_road), _REACH)
+        depths: Array = np.minimum(np.minimum(to_wall, to_road), _STREET_REACH)
         in_front = rng.random(len(depths)) < _CLUTTER
         depths[in_front] *= rng.uniform(0.3, 1, in_front.sum())
         return depths
 
     motion = drive_motion(seed, frames / RATE)
-    return _scene(motion, KITTI, street, frames, "fixed height", {"seed": seed, "reach": _REACH, **options})
+    return _scene(motion, KITTI, street, frames, "fixed height", {"seed": seed, "reach": _STREET_REACH, **options})
 
 
 def simulate_flight(frames: int = 100, seed: int = 0, view: View = "downward", **options: Any) -> PointScene:

@@ -13,8 +13,10 @@ from fvslam_graph.simulation.points import PointScene
 
 Array = NDArray[np.float64]
 
-GATE = 13.816  # 99.9 % quantile of the chi-square distribution with two degrees of freedom: the rim of the ellipse
-LEAST_REACH = 20.0  # pixels at least that a wrong match may lie off
+SEARCH_GATE = (
+    13.816  # 99.9 % quantile of the chi-square distribution with two degrees of freedom: the rim of the ellipse
+)
+MIN_REACH = 20.0  # pixels at least that a wrong match may lie off
 
 
 class SceneFinder:
@@ -43,10 +45,10 @@ class SceneFinder:
         noise = seen.pixels[rows] - self._exact(frame.index, seen.ids[rows])
         off = self.scene.exact(frame.index, self._points[mine]) + noise - search.pixels
         square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(search.covariances), off)
-        found = (seen.ids[rows] == wanted) & (square < GATE)
+        found = (seen.ids[rows] == wanted) & (square < SEARCH_GATE)
         wrong = self._rng.random(len(found)) < self.wrong
-        reach = np.sqrt(GATE * np.diagonal(search.covariances, axis1=1, axis2=2))
-        anywhere = self._rng.uniform(-1, 1, off.shape) * np.maximum(reach, LEAST_REACH)
+        reach = np.sqrt(SEARCH_GATE * np.diagonal(search.covariances, axis1=1, axis2=2))
+        anywhere = self._rng.uniform(-1, 1, off.shape) * np.maximum(reach, MIN_REACH)
         return search.pixels + np.where(wrong[:, None], anywhere, off), found | wrong
 
     def candidates(self, frame: Frame, taken: Array) -> Array:

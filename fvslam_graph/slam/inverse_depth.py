@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_LEAST_INVERSE_DEPTH = 1e-9  # 1/m, beyond which distances are not computed
+_MIN_INVERSE_DEPTH = 1e-9  # 1/m, beyond which distances are not computed
 
 
 def direction(azimuth: Array, elevation: Array) -> tuple[Array, Array]:
@@ -50,7 +50,7 @@ def scaled_points(inverse: Array) -> tuple[Array, Array]:
 def to_points(inverse: Array) -> tuple[Array, Array]:
     """Landmarks (M, 6) as points (M, 3), metres, and their Jacobian (M, 3, 6); at infinity they are far away."""
     unit, J_angles = direction(inverse[:, 3], inverse[:, 4])
-    depth = 1 / np.maximum(inverse[:, 5], _LEAST_INVERSE_DEPTH)
+    depth = 1 / np.maximum(inverse[:, 5], _MIN_INVERSE_DEPTH)
     jacobian = np.zeros((len(inverse), 3, 6))
     jacobian[:, :, :3] = np.eye(3)
     jacobian[:, :, 3:5] = depth[:, None, None] * J_angles
@@ -105,7 +105,7 @@ def linearity_index(inverse: Array, sigma: Array) -> Array:
     points, _ = to_points(inverse)
     distance = np.linalg.norm(points, axis=1)
     cosine = (unit * points).sum(axis=1) / distance
-    spread = sigma / np.maximum(inverse[:, 5], _LEAST_INVERSE_DEPTH) ** 2
+    spread = sigma / np.maximum(inverse[:, 5], _MIN_INVERSE_DEPTH) ** 2
     index: Array = 4 * spread / distance * np.abs(cosine)
     return index
 

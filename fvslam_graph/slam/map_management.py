@@ -24,8 +24,8 @@ from fvslam_graph.slam.state import State
 SPACING = 15.0  # pixels at least between landmarks
 TRIALS = 3  # how often a landmark is looked for before it is judged
 MIN_SUCCESS = 0.5  # share of these in which it has to be measured
-SMOOTHING = 0.2  # weight of the newest frame in the share of landmarks that are measured
-LEAST_SHARE = 0.3  # below, more landmarks would not help
+SHARE_SMOOTHING = 0.2  # weight of the newest frame in the share of landmarks that are measured
+MIN_MEASURED_SHARE = 0.3  # below, more landmarks would not help
 RESERVE = 1.15  # the map grows to so many times what it needs, so that not every image is searched for corners
 RIM = 0.1  # of the image's height, in which no landmark begins, as it would soon be out of view
 LINEARITY = 0.1  # index below which a landmark is taken as a point (Civera, Davison, Montiel 2008, section V)
@@ -44,24 +44,24 @@ class MapManager:
         self.camera = camera
         self.settings = settings
         self.finder = finder
-        self.records = LandmarkHistory.none()
+        self.history = LandmarkHistory.none()
         self.awaited = np.empty(0, np.int64)  # landmarks of maps that were lost: they are kept, as they may come back
         self._next_id = 0
         self._share = 1.0  # of the map that a frame measures
         self.distance = settings.unknown_distance  # metres, typical of what was seen last
 
-    def prune(self, state: State, searched: LandmarkMatches) -> State:
+    def prune(self, state: State, matches: LandmarkMatches) -> State:
         """Without landmarks out of view and those rarely measured; those known well enough become points.
 
         Args:
             state: In the present camera.
-            searched: What became of its landmarks, in their order.
+            matches: What became of its landmarks, in their order.
         """
-        if len(searched):
-            self._share += SMOOTHING * (float(searched.measured.mean()) - self._share)
-        in_view = searched.outcome != MatchOutcome.OUT_OF_VIEW
-        self.records = self.records.counted(state.ids, in_view, searched.measured)
-        mine = self.records.of(state.ids)
+        if len(matches):
+            self._share += SHARE_SMOOTHING * (float(matches.measured.mean()) - self._share)
+        in_view = matches.outcome != MatchOutcome.OUT_OF_VIEW
+        self.history = self.history.counted(state.ids, in_view, matches.measured)
+        mine = self.history.of(state.ids)
         rare = (mine.expected >= TRIALS) & (mine.measured < MIN_SUCCESS * mine.expected)
         _, inverse_depth, _ = state.parts
         index = linearity_index(
@@ -85,7 +85,7 @@ class MapManager:
         if len(here):
             self.distance = float(np.median(np.linalg.norm(here, axis=1)))
         # Some landmarks of the map will leave the view or not be found.
-        needed = self.settings.min_landmarks / max(self._share, LEAST_SHARE)
+        needed = self.settings.min_landmarks / max(self._share, MIN_MEASURED_SHARE)
         if len(state) < needed and frame.image is not None:
             wanted = math.ceil(RESERVE * needed) - len(state)
             candidates = self.finder.candidates(frame, taken) if points is None else points.pixels
@@ -94,15 +94,15 @@ class MapManager:
             if len(chosen):
                 known = None if points is None else points[chosen]
                 state = self._begin(state, frame, candidates[chosen], known, map_T_camera)
-        self.records = self.records.of(np.union1d(state.ids, self.awaited))
-        self.finder.forget(self.records.ids)
+        self.history = self.history.of(np.union1d(state.ids, self.awaited))
+        self.finder.forget(self.history.ids)
         return state
 
     def followed(self, state: State, points: KnownPoints | None) -> Array:
         """(N, 2) pixels to which odometry has followed each of the state's landmarks; NaN where it has not."""
         pixels = np.full((len(state), 2), np.nan)
         if points is not None and len(points):
-            tracks = self.records.of(state.ids).tracks
+            tracks = self.history.of(state.ids).tracks
             order = np.argsort(points.ids)
             rows = order[np.minimum(np.searchsorted(points.ids, tracks, sorter=order), len(points) - 1)]
             alive = points.ids[rows] == tracks
@@ -111,7 +111,7 @@ class MapManager:
 
     def ages(self, state: State, frame: int) -> NDArray[np.int64]:
         """(N,) frames from the beginning of each of the state's landmarks to frame number `frame`."""
-        return frame - self.records.of(state.ids).born
+        return frame - self.history.of(state.ids).born
 
     def _begin(
         self, state: State, frame: Frame, pixels: Array, points: KnownPoints | None, map_T_camera: gtsam.Pose3
@@ -127,7 +127,7 @@ class MapManager:
         self._next_id += len(pixels)
         state = with_new_landmarks(state, ids, pixels, prior, self.camera, self.settings.pixel_sigma)
         tracks = np.full(len(pixels), NO_TRACK) if points is None else points.ids
-        self.records = self.records.begun(ids, frame.index, tracks)
+        self.history = self.history.begun(ids, frame.index, tracks)
         self.finder.remember(frame, ids, pixels, map_T_camera)
         return state
 

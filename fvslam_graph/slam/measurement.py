@@ -15,9 +15,9 @@ from fvslam_graph.slam.inverse_depth import Array, hat, scaled_points
 from fvslam_graph.slam.motion import motion_from_velocity
 from fvslam_graph.slam.state import FIXED, VELOCITY, State
 
-GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom, as a pixel has
+PIXEL_GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom, as a pixel has
 MAX_ITERATIONS = 10
-CONVERGED = 0.2  # of a pixel's deviation; a smaller departure from linear ends the iteration
+MIN_DEPARTURE = 0.2  # of a pixel's deviation; a smaller departure from linear ends the iteration
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def update(
         state = origin.retract(error)
         prediction = predict_pixels(state, seconds, camera)
         linear = innovation - jacobian @ error
-        if np.abs((pixels - prediction.pixels)[chosen].ravel() - linear).max() < CONVERGED * sigma:
+        if np.abs((pixels - prediction.pixels)[chosen].ravel() - linear).max() < MIN_DEPARTURE * sigma:
             break
     Y = scipy.linalg.solve_triangular(L, HP, lower=True, check_finite=False)
     covariance = Y.T @ Y

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.slam.covariances import innovation_covariance, inverse_root
 from fvslam_graph.slam.inverse_depth import Array
-from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels
+from fvslam_graph.slam.measurement import PIXEL_GATE, Prediction, predict_pixels
 from fvslam_graph.slam.state import State
 
-CONFIDENCE = 0.99  # of having drawn one right match
-SAMPLE = 40  # matches, drawn of more, that hypotheses are tested on: enough to tell a right one
+RANSAC_CONFIDENCE = 0.99  # of having drawn one right match
+MAX_SAMPLE = 40  # matches, drawn of more, that hypotheses are tested on: enough to tell a right one
 KNOWN = 2.0  # pixels; a match that is expected better than this has a whole vote
 
 
@@ -63,7 +63,7 @@ def low_innovation_inliers(
     HP, S = innovation_covariance(prediction.jacobian(found), state.covariance, sigma)
     off = (pixels - prediction.pixels)[candidates]
 
-    sample = rng.permutation(len(candidates))[:SAMPLE]
+    sample = rng.permutation(len(candidates))[:MAX_SAMPLE]
     rows = (2 * sample[:, None] + (0, 1)).ravel()
     known, likely = off[sample], S[np.ix_(rows, rows)]
     chosen, votes, needed = np.zeros(len(sample), bool), 0.0, len(sample)
@@ -75,7 +75,7 @@ def low_innovation_inliers(
         if sum_of_votes > votes:
             chosen, votes = agree, sum_of_votes
             miss = 1 - chosen.sum() / len(sample)
-            needed = min(needed, math.ceil(math.log(1 - CONFIDENCE) / math.log(miss))) if miss > 0 else 0
+            needed = min(needed, math.ceil(math.log(1 - RANSAC_CONFIDENCE) / math.log(miss))) if miss > 0 else 0
     while (agreed := _agree(chosen, known, likely, slack))[1] > votes:
         chosen, votes = agreed
     best = np.zeros(len(candidates), bool)
@@ -138,9 +138,9 @@ def _agree(chosen: NDArray[np.bool_], off: Array, S: Array, slack: float) -> tup
 
 def _near(residual: Array, covariance: Array, slack: float) -> NDArray[np.bool_]:
     """Which residuals (N, 2) of covariance (N, 2, 2) are within the gate, with pixels of tolerance."""
-    (x, y), tolerance = residual.T, slack**2 / GATE
+    (x, y), tolerance = residual.T, slack**2 / PIXEL_GATE
     xx, yy, xy = covariance[:, 0, 0] + tolerance, covariance[:, 1, 1] + tolerance, covariance[:, 0, 1]
-    near: NDArray[np.bool_] = yy * x**2 - 2 * xy * x * y + xx * y**2 < GATE * (xx * yy - xy**2)
+    near: NDArray[np.bool_] = yy * x**2 - 2 * xy * x * y + xx * y**2 < PIXEL_GATE * (xx * yy - xy**2)
     return near
 
 

@@ -14,7 +14,7 @@ from fvslam_graph.features.detection import detect
 from fvslam_graph.features.patches import REACH, align, cut_tiles, search, view_change, warp
 from fvslam_graph.features.texture import Texture
 from fvslam_graph.slam.inverse_depth import Array
-from fvslam_graph.slam.measurement import GATE
+from fvslam_graph.slam.measurement import PIXEL_GATE
 
 MAX_SHIFT = 3.0  # pixels that the alignment may move along each axis from where the search ended
 COARSE_SHARE = 0.8  # of the correlation threshold that has to be reached in the image halved
@@ -61,7 +61,7 @@ class PatchFinder:
                 patches[sought],
                 search_for.pixels[sought],
                 search_for.covariances[sought],
-                GATE,
+                PIXEL_GATE,
                 settings.search_radius,
             )
         candidates = np.flatnonzero(within & (correlation > COARSE_SHARE * settings.ncc_threshold))

@@ -36,7 +36,7 @@ class Sighting:
         motion: From the earlier camera,
         previous: and the index of its frame.
         map_T_camera: Without the re-anchoring.
-        searched: What became of the landmarks.
+        matches: What became of the landmarks.
         lost: Whether too few of them agree, so that the motion is the predicted one.
     """
 
@@ -44,5 +44,5 @@ class Sighting:
     motion: GaussianPose
     previous: int
     map_T_camera: gtsam.Pose3
-    searched: LandmarkMatches
+    matches: LandmarkMatches
     lost: bool

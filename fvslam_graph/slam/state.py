@@ -19,7 +19,7 @@ from fvslam_graph.slam.inverse_depth import Array, to_points
 POSE, SCALE, VELOCITY, FIXED = slice(0, 6), 6, slice(7, 13), 13  # rows of the error state before the landmarks
 PART = 3  # numbers of an anchor, of a ray and of a point, in the error state
 _GROWTH = np.array([0, 0, -1])  # of a ray, with the scale
-LEAST_LOG_VARIANCE = 1e-6  # of a log distance, so that no landmark stands for the whole map
+MIN_LOG_VARIANCE = 1e-6  # of a log distance, so that no landmark stands for the whole map
 SLACK = 1e-9  # of the largest eigenvalue, that rounding may take from a positive semi-definite matrix
 
 
@@ -205,7 +205,7 @@ class State:
         if not front.any():
             return None
         variances = each_transformed(self.covariance, jacobian[:, None], self.columns)[:, 0, 0]
-        weight = front / (variances + LEAST_LOG_VARIANCE)
+        weight = front / (variances + MIN_LOG_VARIANCE)
         mean = np.zeros(len(self.covariance))
         np.add.at(mean, self.columns, (weight / weight.sum())[:, None] * jacobian)
         return mean

@@ -24,7 +24,7 @@ from fvslam_graph.slam.covariances import keep_memory
 from fvslam_graph.slam.inverse_depth import Array
 from fvslam_graph.slam.landmark_history import NO_TRACK
 from fvslam_graph.slam.map_management import MapManager
-from fvslam_graph.slam.measurement import GATE, Prediction, predict_pixels, update
+from fvslam_graph.slam.measurement import PIXEL_GATE, Prediction, predict_pixels, update
 from fvslam_graph.slam.motion import (
     compose,
     last_motion,
@@ -38,11 +38,11 @@ from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
 from fvslam_graph.slam.sighting import Remembered, Sighting
 from fvslam_graph.slam.state import POSE, SCALE, VELOCITY, State
 
-PATIENCE = 3  # images in a row without enough matches before the map is rebuilt
+MAX_FAILURES = 3  # images in a row without enough matches before the map is rebuilt
 MIN_CANDIDATES = 10  # corners that an image has at least, for a map to be built on it
 NOISE_INFLATION = 4.0  # an image that did not fit the map may have been a motion that the noise does not allow for
 MEMORY = 3.0  # seconds for which a lost map is looked for,
-MIN_SHARE = 0.4  # and of its landmarks that have to be measured then
+MIN_FOUND_SHARE = 0.4  # and of its landmarks that have to be measured then
 UNKNOWN_SCALE = 0.7  # of log scale: scenes are as far away as the last one within a factor of two
 UNKNOWN_RATE = 0.5  # rad/s, and distances to the landmarks per second: standard deviation where nothing is known
 # The matrices are small: a second thread costs more than it brings, and the sums would depend on the machine.
@@ -87,7 +87,7 @@ class VSlam:
     @property
     def tracks(self) -> NDArray[np.int64]:
         """Tracks of odometry that are landmarks of the map."""
-        tracks = self._map.records.tracks
+        tracks = self._map.history.tracks
         followed: NDArray[np.int64] = tracks[tracks != NO_TRACK]
         return followed
 
@@ -137,11 +137,11 @@ class VSlam:
         elif self._seen is None:
             self._seen = before
         with self._stopwatch.stage("map"):
-            state = self._brought_up_to_date(sighting.state, frame, sighting.searched, status, points)
+            state = self._brought_up_to_date(sighting.state, frame, sighting.matches, status, points)
             if odometry is None:  # which knows the scale better
                 new = ~np.isin(state.ids, sighting.state.ids)
                 state = with_scale_walk(state, float(new.mean()) if len(new) else 0.0)
-            estimate = self._arrive(frame, state, sighting.motion, sighting.searched, status, sighting.previous)
+            estimate = self._arrive(frame, state, sighting.motion, sighting.matches, status, sighting.previous)
         if status is Status.COASTED and textured:
             return replace(estimate, pose=estimate.pose.after_loss(self._map.distance))
         return estimate
@@ -199,10 +199,10 @@ class VSlam:
         )
         if not lost:
             outcome[inliers], outcome[rescued] = MatchOutcome.INLIER, MatchOutcome.RESCUED
-        searched = LandmarkMatches(
+        matches = LandmarkMatches(
             state.ids, outcome, prediction.pixels, ellipses, np.where(found[:, None], pixels, np.nan)
         )
-        return Sighting(state, motion, before.index, before.map_T_camera.compose(prev_T_cur), searched, lost)
+        return Sighting(state, motion, before.index, before.map_T_camera.compose(prev_T_cur), matches, lost)
 
     def _found_again(self, frame: Frame) -> Sighting | None:
         """Sight a map that was lost some seconds ago; None where this image does not show it."""
@@ -212,8 +212,8 @@ class VSlam:
             self._lost = None
             return None
         sighting = self._sight(frame, self._lost, None, None, NOISE_INFLATION)
-        measured = int(sighting.searched.measured.sum())
-        return sighting if not sighting.lost and measured >= MIN_SHARE * len(sighting.searched) else None
+        measured = int(sighting.matches.measured.sum())
+        return sighting if not sighting.lost and measured >= MIN_FOUND_SHARE * len(sighting.matches) else None
 
     def reset_pose(self, pose: GaussianPose) -> None:
         """Go on from another pose world_T_camera; the map in the camera stays as it is."""
@@ -247,7 +247,7 @@ class VSlam:
         innovation = (pixels - prediction.pixels)[agree]
         S = prediction.innovation_covariances(state, agree, self.settings.pixel_sigma)
         distance = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(axis=1)
-        agree[agree] = distance < GATE
+        agree[agree] = distance < PIXEL_GATE
         return agree
 
     def _judge(self, frame: Frame, lost: bool) -> tuple[Status, bool]:
@@ -262,14 +262,14 @@ class VSlam:
         if not lost:
             return Status.TRACKED, True
         textured = len(self.finder.candidates(frame, np.empty((0, 2)))) >= MIN_CANDIDATES
-        return Status.REINITIALISED if textured and self._failures >= PATIENCE else Status.COASTED, textured
+        return Status.REINITIALISED if textured and self._failures >= MAX_FAILURES else Status.COASTED, textured
 
     def _brought_up_to_date(
-        self, state: State, frame: Frame, searched: LandmarkMatches, status: Status, points: KnownPoints | None
+        self, state: State, frame: Frame, matches: LandmarkMatches, status: Status, points: KnownPoints | None
     ) -> State:
         """The state with its map as the next frame needs it."""
         if status is Status.TRACKED:
-            state = self._map.prune(state, searched)
+            state = self._map.prune(state, matches)
         elif status is Status.REINITIALISED:
             state = self._forgotten(state)
         else:
@@ -296,7 +296,7 @@ class VSlam:
         frame: Frame,
         state: State,
         motion: GaussianPose,
-        searched: LandmarkMatches,
+        matches: LandmarkMatches,
         status: Status,
         previous: int,
     ) -> SlamEstimate:
@@ -309,7 +309,7 @@ class VSlam:
             pose=GaussianPose(state.world_T_camera, state.covariance[POSE, POSE]),
             prev_T_cur=motion,
             status=status,
-            searched=searched,
+            matches=matches,
             landmarks=Landmarks(
                 ids=state.ids,
                 pixels=self.camera.project(state.positions),

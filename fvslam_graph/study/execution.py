@@ -16,7 +16,7 @@ import cv2
 from fvslam_graph.core.errors import FvslamError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.runs.ownership import Kind, claimed, disown
-from fvslam_graph.study.jobs import Job, Row, Source, execute, kept, render
+from fvslam_graph.study.jobs import Job, Row, Source, cached_row, execute, render
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # Instead of dask's own, with which every large array is fetched from the system anew: rendering takes five
 # times as long.
 WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
-PATIENCE = "20s"  # with a scheduler that may not be there
+SCHEDULER_TIMEOUT = "20s"  # with a scheduler that may not be there
 
 
 def execute_all(
@@ -55,7 +55,7 @@ def execute_all(
         except FvslamError as error:
             yield number, _failed(job, error)
             continue
-        if (row := kept(folder, align)) is None:
+        if (row := cached_row(folder, align)) is None:
             pending[number] = folder
         else:
             yield number, row
@@ -131,7 +131,7 @@ def _connected(scheduler: str) -> Client:
     try:
         if not scheduler:  # which would begin a cluster
             raise ValueError("it is no address")
-        return Client(scheduler, timeout=PATIENCE)
+        return Client(scheduler, timeout=SCHEDULER_TIMEOUT)
     except Exception as error:  # as which an address comes back that is none depends on what it is like
         reason = " ".join(str(error).split()) or type(error).__name__
         raise StudyError(

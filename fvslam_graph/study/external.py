@@ -15,7 +15,7 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import load_trajectory
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.runs.results import Run
-from fvslam_graph.study.jobs import Row, numbers
+from fvslam_graph.study.jobs import Row, metric_columns
 from fvslam_graph.study.results import EXTERNAL
 
 
@@ -64,7 +64,7 @@ def external_row(name: str, file: str, sequence: Sequence, align: Alignment) -> 
     labels = {"sequence": sequence.name, "mode": name, "preset": EXTERNAL, "variant": ""}
     try:
         run = external_run(name, file, sequence)
-        found = numbers(evaluation_of(run, None, align))
+        found = metric_columns(evaluation_of(run, None, align))
     except FvslamError as error:
         return labels | {"status": f"failed: {error}"}, None
     row = labels | {"status": "finished", "frames": len(sequence), "coverage": run.coverage} | found

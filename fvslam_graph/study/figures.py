@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SUFFIXES = (".png", ".pdf", ".svg")
-COLUMNS = 3  # panels beside each other
+FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
+PANEL_COLUMNS = 3  # panels beside each other
 
 
-def draw_study(outcome: StudyResults, found: Sequence[Difference], out: Path) -> list[Path]:
+def draw_study(results: StudyResults, found: Sequence[Difference], out: Path) -> list[Path]:
     """Write accuracy, cost and differences as PNG, PDF and SVG; what there is nothing to draw of is left out.
 
     Returns:
@@ -31,32 +31,32 @@ def draw_study(outcome: StudyResults, found: Sequence[Difference], out: Path) ->
     import matplotlib
 
     drawings: dict[str, Callable[[], Figure]] = {}
-    if outcome.finished["ape"].notna().any():
-        drawings["accuracy"] = lambda: _accuracy(outcome)
-        drawings["cost"] = lambda: _cost(outcome)
+    if results.finished["ape"].notna().any():
+        drawings["accuracy"] = lambda: _accuracy(results)
+        drawings["cost"] = lambda: _cost(results)
     if any(difference.metric == "ape" for difference in found):
         drawings["differences"] = lambda: _differences(found)
-    claim_files(out, [f"{name}{suffix}" for name in drawings for suffix in SUFFIXES])
+    claim_files(out, [f"{name}{suffix}" for name in drawings for suffix in FIGURE_SUFFIXES])
     files = []
     with matplotlib.rc_context(STYLE):
         for name, draw in drawings.items():
-            files += save(draw(), out / name, SUFFIXES)
+            files += save(draw(), out / name, FIGURE_SUFFIXES)
     return files
 
 
-def colours(outcome: StudyResults) -> dict[str, str]:
+def colours(results: StudyResults) -> dict[str, str]:
     """One for each mode."""
-    modes = outcome.table["mode"].unique()
+    modes = results.table["mode"].unique()
     return {mode: RUN_COLOURS[number % len(RUN_COLOURS)] for number, mode in enumerate(modes)}
 
 
-def _panels(outcome: StudyResults, height: float) -> tuple[Figure, Iterator[tuple[Axes, str, pd.DataFrame]]]:
+def _panels(results: StudyResults, height: float) -> tuple[Figure, Iterator[tuple[Axes, str, pd.DataFrame]]]:
     """A figure with a panel for each sequence that has ground truth, and its runs."""
     from matplotlib.figure import Figure
 
-    known = outcome.finished[outcome.finished["ape"].notna()]
+    known = results.finished[results.finished["ape"].notna()]
     sequences = known["sequence"].unique()
-    columns = min(COLUMNS, len(sequences))
+    columns = min(PANEL_COLUMNS, len(sequences))
     rows = -(-len(sequences) // columns)
     figure = Figure(figsize=(max(6.5, 3.2 * columns + 1), height * rows + 0.5), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -68,12 +68,12 @@ def _panels(outcome: StudyResults, height: float) -> tuple[Figure, Iterator[tupl
     )
 
 
-def _accuracy(outcome: StudyResults) -> Figure:
-    by_mode = colours(outcome)
-    own = outcome.table[outcome.table["preset"] != EXTERNAL]
+def _accuracy(results: StudyResults) -> Figure:
+    by_mode = colours(results)
+    own = results.table[results.table["preset"] != EXTERNAL]
     names = [label for label in ("mode", "preset", "variant") if label == "mode" or own[label].nunique() > 1]
-    longest = outcome.table.groupby("sequence")[names].apply(lambda rows: len(rows.drop_duplicates())).max()
-    figure, panels = _panels(outcome, 1 + 0.25 * longest)
+    longest = results.table.groupby("sequence")[names].apply(lambda rows: len(rows.drop_duplicates())).max()
+    figure, panels = _panels(results, 1 + 0.25 * longest)
     for axes, sequence, runs in panels:
         labels = []
         for row, (label, group) in enumerate(runs.groupby(names, sort=False)):
@@ -84,14 +84,14 @@ def _accuracy(outcome: StudyResults) -> Figure:
         axes.set(title=legible(sequence), xlabel="APE (m)", yticks=range(len(labels)), yticklabels=labels)
         axes.set(xlim=(0, 1.05 * runs["ape"].max()), ylim=(len(labels) - 0.5, -0.5))
     figure.suptitle(
-        f"online trajectories, {outcome.align} alignment; one dot a seed, a bar for the median", fontsize=10
+        f"online trajectories, {results.align} alignment; one dot a seed, a bar for the median", fontsize=10
     )
     return figure
 
 
-def _cost(outcome: StudyResults) -> Figure:
-    by_mode = colours(outcome)
-    figure, panels = _panels(outcome, 2.8)
+def _cost(results: StudyResults) -> Figure:
+    by_mode = colours(results)
+    figure, panels = _panels(results, 2.8)
     for axes, sequence, runs in panels:
         for mode, group in runs.groupby("mode", sort=False):
             name, colour = legible(str(mode)), by_mode[str(mode)]
@@ -110,7 +110,7 @@ def _differences(found: Sequence[Difference]) -> Figure:
     shown = [difference for difference in found if difference.metric == "ape"]
     sequences = list(dict.fromkeys(difference.sequence for difference in shown))
     pairs = list(dict.fromkeys((difference.a, difference.b) for difference in shown))
-    columns = min(COLUMNS, len(sequences))
+    columns = min(PANEL_COLUMNS, len(sequences))
     rows = -(-len(sequences) // columns)
     figure = Figure(figsize=(max(6.5, 3.2 * columns + 1), (1 + 0.25 * len(pairs)) * rows + 0.5), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 import fvslam_graph
 from fvslam_graph.core.config import Config
 from fvslam_graph.core.errors import FvslamError, ResultsError
-from fvslam_graph.core.files import LONGEST, file_name, replacing, write_json, writing
+from fvslam_graph.core.files import MAX_NAME_LENGTH, file_name, replacing, write_json, writing
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.text_files import read_text
 from fvslam_graph.core.trajectory import Status
@@ -32,7 +32,7 @@ from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.sequences.open import open_sequence
 
-LARGEST = 2e9  # bytes of rendered images
+MAX_RENDERED_SIZE = 2e9  # bytes of rendered images
 
 Row = dict[str, Any]
 """One run as numbers and words, by column; see `row_of`."""
@@ -88,8 +88,8 @@ class Job:
         depends_on = [self.source.label, _fingerprint(self.source), _code(), self.config.model_dump_json()]
         digest = hashlib.blake2b(json.dumps(depends_on).encode(), digest_size=8).hexdigest()
         parts = (self.source.label, self.config.mode, self.config.preset, self.variant, self.config.seed)
-        words = re.sub(r"[^a-zA-Z0-9.]+", "-", "-".join(str(part) for part in parts if part != ""))
-        return runs / f"{words[:LONGEST].strip('-.')}-{digest}"
+        slug = re.sub(r"[^a-zA-Z0-9.]+", "-", "-".join(str(part) for part in parts if part != ""))
+        return runs / f"{slug[:MAX_NAME_LENGTH].strip('-.')}-{digest}"
 
     def labels(self) -> Row:
         """The columns that say which run a row is."""
@@ -110,7 +110,7 @@ def render(source: Source, folder: Path) -> Path | None:
     """
     sequence = source.open()
     size = (len(sequence), sequence.camera.height, sequence.camera.width)
-    if not source.path.startswith("synthetic:") or np.prod(size) > LARGEST:
+    if not source.path.startswith("synthetic:") or np.prod(size) > MAX_RENDERED_SIZE:
         return None
     file = folder / f"{file_name(source.label)}.npz"
     try:
@@ -139,7 +139,7 @@ def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = No
         FvslamError: The source cannot be opened or the folder not written.
     """
     with claimed(folder, Kind.RUN, wait=True):  # of a study that was killed, a worker may still be at it
-        if (row := kept(folder, align)) is not None:
+        if (row := cached_row(folder, align)) is not None:
             return row
         if not _finished(folder):
             sequence = _opened(job.source, rendered)
@@ -153,7 +153,7 @@ def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = No
         return row
 
 
-def kept(folder: Path, align: Alignment) -> Row | None:
+def cached_row(folder: Path, align: Alignment) -> Row | None:
     """The row of a run that was done and evaluated before; None where it was not."""
     try:
         row = json.loads(read_text(_row_file(folder, align), ResultsError))
@@ -190,11 +190,11 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
         "peak_mb": run.info.get("totals", {}).get("peak_memory_mb", np.nan),
     }
     if evaluation is None:
-        return row | dict.fromkeys(METRICS, np.nan)
-    return row | numbers(evaluation)
+        return row | dict.fromkeys(METRIC_COLUMNS, np.nan)
+    return row | metric_columns(evaluation)
 
 
-def numbers(evaluation: Evaluation) -> dict[str, float]:
+def metric_columns(evaluation: Evaluation) -> dict[str, float]:
     """The numbers of an evaluation that tables show; see `row_of`."""
     nees = evaluation.consistency
     return {
@@ -213,7 +213,7 @@ def numbers(evaluation: Evaluation) -> dict[str, float]:
     }
 
 
-METRICS = (
+METRIC_COLUMNS = (
     "ape",
     "ape_rot",
     "rpe",

@@ -23,7 +23,7 @@ CAPTIONS = {
     "plot_trajectory": "Trajectories: of each mode the run whose error is the median.",
     "plot_error": "Their errors along the path.",
 }
-_ALL = ("status", "ape", "ape_rot", "rpe", "rpe_1m", "t_rel", "r_rel", "scale", "nees", "coverage", "tracked")
+_ALL_COLUMNS = ("status", "ape", "ape_rot", "rpe", "rpe_1m", "t_rel", "r_rel", "scale", "nees", "coverage", "tracked")
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Picture:
 
 def write_report(
     study: Study,
-    outcome: StudyResults,
+    results: StudyResults,
     found: Sequence[Difference],
     figures: Sequence[Path],
     trajectories: Mapping[str, Sequence[Path]],
@@ -46,7 +46,7 @@ def write_report(
 
     Args:
         study: What was declared.
-        outcome: All runs.
+        results: All runs.
         found: Differences between modes.
         figures: Of the study; those in SVG are shown.
         trajectories: Likewise, by sequence.
@@ -55,17 +55,17 @@ def write_report(
     from jinja2 import Environment, PackageLoader
 
     template = Environment(loader=PackageLoader("fvslam_graph.study", "."), autoescape=True, trim_blocks=True)
-    finished, count = len(outcome.finished), len(outcome.table)
+    finished, count = len(results.finished), len(results.table)
     html = template.get_template("report.html.j2").render(
         title=study.name,
         runs=f"{finished} of {count} runs came to their end.",
-        summary=outcome.summary(),
+        summary=results.summary(),
         figures=_pictures(figures),
         differences=differences_table(found),
         verdicts=verdicts(found),
         trajectories={sequence: _pictures(files) for sequence, files in trajectories.items()},
-        failures=outcome.failures(),
-        all=_all_runs(outcome),
+        failures=results.failures(),
+        all=_all_runs(results),
         declaration=yaml.safe_dump(study.model_dump(mode="json", exclude_defaults=True), sort_keys=False),
         circumstances=yaml.safe_dump(provenance(), sort_keys=False),
     )
@@ -80,7 +80,7 @@ def _pictures(files: Sequence[Path]) -> list[Picture]:
     ]
 
 
-def _all_runs(outcome: StudyResults) -> Table:
-    columns = [*LABELS, "seed", *_ALL, *COSTS]
-    cells = outcome.table[columns].map(lambda value: f"{value:.5g}" if isinstance(value, float) else str(value))
+def _all_runs(results: StudyResults) -> Table:
+    columns = [*LABELS, "seed", *_ALL_COLUMNS, *COSTS]
+    cells = results.table[columns].map(lambda value: f"{value:.5g}" if isinstance(value, float) else str(value))
     return Table(columns, cells.replace({"nan": "-", "<NA>": "-"}).to_numpy().tolist(), len(LABELS))

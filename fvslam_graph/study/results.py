@@ -14,7 +14,7 @@ import pandas as pd
 from fvslam_graph.core.files import write_file, writing
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.tables import Table
-from fvslam_graph.study.jobs import METRICS, Row
+from fvslam_graph.study.jobs import METRIC_COLUMNS, Row
 
 LABELS = ("sequence", "mode", "preset", "variant")
 RESULTS = (
@@ -26,7 +26,7 @@ RESULTS = (
     "coverage",
     "tracked",
     "matched",
-    *METRICS,
+    *METRIC_COLUMNS,
     "note",
     "folder",
 )

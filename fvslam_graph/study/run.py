@@ -17,7 +17,7 @@ from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.external import external_row
-from fvslam_graph.study.figures import SUFFIXES, draw_study
+from fvslam_graph.study.figures import FIGURE_SUFFIXES, draw_study
 from fvslam_graph.study.jobs import Row
 from fvslam_graph.study.report import write_report
 from fvslam_graph.study.results import StudyResults
@@ -26,16 +26,16 @@ from fvslam_graph.study.statistics import differences
 
 _log = logging.getLogger(__name__)
 
-Watch = Callable[[Iterable[tuple[int, Row]], int], Iterable[tuple[int, Row]]]
+WatchRows = Callable[[Iterable[tuple[int, Row]], int], Iterable[tuple[int, Row]]]
 """Takes rows as they come and how many there will be; hands them on."""
 
 
-def carry_out(
+def run_study(
     study: Study,
     out: Path,
     workers: int | None = None,
     scheduler: str | None = None,
-    watch: Watch = lambda rows, total: rows,
+    watch: WatchRows = lambda rows, total: rows,
 ) -> StudyResults:
     """Run what has not been run yet, then write tables, figures and report.
 
@@ -61,30 +61,30 @@ def carry_out(
             if row["status"] != "finished":
                 _log.warning("%s on %s: %s", row["mode"], row["sequence"], row["status"])
         rows: dict[int, Row] = dict(watch(execute_all(jobs, out / "runs", study.align, workers, scheduler), len(jobs)))
-        outcome = StudyResults.of(
+        results = StudyResults.of(
             [*(rows[number] for number in range(len(jobs))), *(row for row, _ in others)], study.align
         )
-        _require_no_loss(outcome, out)
-        found = differences(outcome)
+        _require_no_loss(results, out)
+        found = differences(results)
         with writing(out):
-            figures = draw_study(outcome, found, out / "figures")
+            figures = draw_study(results, found, out / "figures")
             trajectories = {
-                source.label: _draw_trajectories(outcome, source.label, [run for _, run in others if run], out)
+                source.label: _draw_trajectories(results, source.label, [run for _, run in others if run], out)
                 for source in study.sequences
             }
-            write_report(study, outcome, found, figures, trajectories, out / "report.html")
+            write_report(study, results, found, figures, trajectories, out / "report.html")
             write_file(out / "study.yaml", yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False))
-        outcome.write(out)
-    return outcome
+        results.write(out)
+    return results
 
 
-def _require_no_loss(outcome: StudyResults, out: Path) -> None:
+def _require_no_loss(results: StudyResults, out: Path) -> None:
     """Refuse to write over the results of runs that have come to their end, and fail now."""
-    lost = outcome.lost(out)
+    lost = results.lost(out)
     if len(lost):
         first = lost.iloc[0]
         raise StudyError(
-            f"{len(lost)} of {len(outcome.table)} runs fail that had come to their end ({first['mode']} on "
+            f"{len(lost)} of {len(results.table)} runs fail that had come to their end ({first['mode']} on "
             f"{first['sequence']}: {first['status']}); the results in {out} are left as they were, choose another "
             "folder for the new ones"
         )
@@ -104,9 +104,9 @@ def _external(study: Study) -> Iterator[tuple[Row, Run | None]]:
             yield external_row(name, file, sequence, study.align)
 
 
-def _draw_trajectories(outcome: StudyResults, sequence: str, others: list[Run], out: Path) -> list[Path]:
+def _draw_trajectories(results: StudyResults, sequence: str, others: list[Run], out: Path) -> list[Path]:
     """Of each mode the run whose error is the median, with the first preset and variant, and other people's."""
-    here = outcome.finished[(outcome.finished["sequence"] == sequence) & (outcome.finished["folder"] != "")]
+    here = results.finished[(results.finished["sequence"] == sequence) & (results.finished["folder"] != "")]
     runs = []
     for mode, group in here.groupby("mode", sort=False):
         first = group.iloc[0]
@@ -117,4 +117,4 @@ def _draw_trajectories(outcome: StudyResults, sequence: str, others: list[Run], 
     if not runs:
         return []
     folder = out / "figures" / file_name(sequence)
-    return plot_runs(runs, folder, outcome.align, ("trajectory", "error"), SUFFIXES)
+    return plot_runs(runs, folder, results.align, ("trajectory", "error"), FIGURE_SUFFIXES)

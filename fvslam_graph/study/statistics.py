@@ -17,10 +17,10 @@ from fvslam_graph.study.results import EXTERNAL, StudyResults
 
 CONFIDENCE = 0.95
 RESAMPLES = 9999
-ENOUGH = 5  # values that tell something about their spread
+MIN_VALUES = 5  # values that tell something about their spread
 ALL = "all sequences"
 COMPARED = {"ape": "APE", "rpe": "RPE"}
-CAPTION = (
+DIFFERENCES_CAPTION = (
     "Ratio of the errors of two modes on the same sequence with the same seed and settings: geometric mean and its "
     "95 % bootstrap interval (percentiles). On one sequence it is over the seeds, and tells chance in the estimator; "
     "over all sequences each counts once, with the mean of its seeds, and it tells chance in the sequences, too. An "
@@ -57,14 +57,14 @@ class Difference:
         return not (np.isnan(self.low) or self.low <= 1 <= self.high)
 
 
-def differences(outcome: StudyResults, seed: int = 0) -> list[Difference]:
+def differences(results: StudyResults, seed: int = 0) -> list[Difference]:
     """All pairs of modes, by sequence and, where there are several, over all of them.
 
     Args:
-        outcome: Other people's trajectories, which have no seeds, are left out.
+        results: Other people's trajectories, which have no seeds, are left out.
         seed: Of the resampling.
     """
-    own = outcome.finished[outcome.finished["preset"] != EXTERNAL]
+    own = results.finished[results.finished["preset"] != EXTERNAL]
     alike = own.groupby(["preset", "variant"], sort=False)  # runs with other settings are not of the same kind
     return [
         replace(difference, sequence=", ".join((difference.sequence, *settings)))
@@ -90,7 +90,7 @@ def _of_metric(own: pd.DataFrame, metric: str, seed: int) -> Iterator[Difference
 
 def interval(values: NDArray[np.float64], seed: int) -> tuple[float, float]:
     """Bootstrap interval of the mean of values (n,); NaN where they are too few to tell anything about their spread."""
-    if len(values) < ENOUGH:
+    if len(values) < MIN_VALUES:
         return np.nan, np.nan
     found = bootstrap(
         (values,),
@@ -117,7 +117,9 @@ def differences_table(found: Sequence[Difference]) -> Table:
         ]
         for difference in found
     ]
-    return Table(("error", "sequence", "modes", "ratio", "95 % interval", "pairs", "significant"), rows, 3, CAPTION)
+    return Table(
+        ("error", "sequence", "modes", "ratio", "95 % interval", "pairs", "significant"), rows, 3, DIFFERENCES_CAPTION
+    )
 
 
 def verdicts(found: Sequence[Difference]) -> list[str]:
@@ -128,7 +130,7 @@ def verdicts(found: Sequence[Difference]) -> list[str]:
         unclear = ", ".join(f"{difference.a} and {difference.b}" for difference in here if not difference.significant)
         if any(np.isnan(difference.low) for difference in here):
             what = "sequences" if sequence.startswith(ALL) else "seeds"
-            said = f"fewer than {ENOUGH} {what}, too few to tell a difference from chance"
+            said = f"fewer than {MIN_VALUES} {what}, too few to tell a difference from chance"
         else:
             said = "; ".join((*_better(here), f"not significant: {unclear}" if unclear else "all are significant"))
         sentences.append(one_line(f"{COMPARED[metric]} on {sequence}: {said}."))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import EstimationError
-from fvslam_graph.core.sequence import MOST_DISTORTED, Sequence
+from fvslam_graph.core.sequence import MAX_RESIDUAL_K1, Sequence
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.epipolar import calibration_jacobian, epipolar_distance, rays
 from fvslam_graph.vo.odometry import VisualOdometry
@@ -81,10 +81,10 @@ def measure_distortion(sequence: Sequence) -> tuple[float, float]:
     for _ in range(PASSES):
         vo = VisualOdometry(sequence.camera, load_config(settings=["scale.source=unit"]))
         distortion = RadialDistortion(sequence.camera)
-        for frame in sequence.straightened(k1) if k1 else sequence:
+        for frame in sequence.undistorted(k1) if k1 else sequence:
             estimate = vo.step(frame)
             if estimate.scale is not None:  # by two views
                 distortion.add(estimate.tracks, estimate.prev_T_cur.mean)
         more, sigma = distortion.estimate()
-        k1 = min(max(k1 + more, -MOST_DISTORTED), MOST_DISTORTED)
+        k1 = min(max(k1 + more, -MAX_RESIDUAL_K1), MAX_RESIDUAL_K1)
     return k1, sigma

@@ -21,8 +21,8 @@ from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import epipolar_distance, rays
 from fvslam_graph.vo.relative_pose import RelativePose
 
-_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
-_WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car
+_PATCH_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
+_PATCH_WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car
 _SEARCH = 8.0  # pixels that the ground may lie off its prediction
 _HYPOTHESES = 60
 MIN_TRACKS = 10  # on the ground, for a first guess
@@ -128,7 +128,7 @@ class GroundAligner:
     def _ground_pixels(self) -> NDArray[np.float32]:
         """A grid of pixels that see the ground within range, about as many as there shall be patches."""
         camera = self.camera
-        margin = max(_WINDOW)
+        margin = max(_PATCH_WINDOW)
         columns, rows = np.meshgrid(np.arange(margin, camera.width - margin), np.arange(margin, camera.height - margin))
         dense = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float32)
         seen = self._sees_ground(rays(camera, dense.astype(float)))
@@ -152,7 +152,7 @@ class GroundAligner:
             return None
         camera, K = self.camera, self.camera.K
         rotation, direction = relative_pose.rotation, relative_pose.direction
-        top = max(0, int(self._grid[:, 1].min()) - 2 * _WINDOW[1])
+        top = max(0, int(self._grid[:, 1].min()) - 2 * _PATCH_WINDOW[1])
         offset = np.array([0.0, top])
         homography = K @ rotation.matrix().T @ (np.eye(3) - np.outer(direction, plane)) @ np.linalg.inv(K)
         shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
@@ -225,6 +225,6 @@ def _lucas_kanade(
     a: Image, b: Image, points: NDArray[np.float32], guess: NDArray[np.float32], levels: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        a, b, points, guess.copy(), None, None, _WINDOW, levels, _STOP, cv2.OPTFLOW_USE_INITIAL_FLOW
+        a, b, points, guess.copy(), None, None, _PATCH_WINDOW, levels, _PATCH_STOP, cv2.OPTFLOW_USE_INITIAL_FLOW
     )
     return found, status[:, 0] > 0

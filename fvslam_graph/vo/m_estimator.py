@@ -7,14 +7,18 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 
-CELLS = (8, 6)  # of the image, within which tracks are taken to err alike: blur, rolling shutter, calibration
-LEAST_CURVATURE = 0.1  # of a loss, as a share of what least squares would have with its weights
+NEIGHBOURHOODS = (8, 6)  # of the image, within which tracks are taken to err alike: blur, rolling shutter, calibration
+MIN_CURVATURE = 0.1  # of a loss, as a share of what least squares would have with its weights
 
 
 def neighbourhoods(pixels: NDArray[np.float64], camera: Camera) -> NDArray[np.intp]:
     """Numbers (N,) of the cells of the image that points (N, 2) lie in."""
-    cells = (pixels * np.divide(CELLS, (camera.width, camera.height))).astype(np.intp).clip(0, np.subtract(CELLS, 1))
-    return np.asarray(cells[:, 1] * CELLS[0] + cells[:, 0])
+    cells = (
+        (pixels * np.divide(NEIGHBOURHOODS, (camera.width, camera.height)))
+        .astype(np.intp)
+        .clip(0, np.subtract(NEIGHBOURHOODS, 1))
+    )
+    return np.asarray(cells[:, 1] * NEIGHBOURHOODS[0] + cells[:, 0])
 
 
 def clustered(scores: NDArray[np.float64], clusters: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -60,7 +64,7 @@ def m_estimator_covariance(
     root = np.linalg.inv(np.linalg.cholesky(information))
     bent = 2 / loss_scale**2 * gradients.T @ gradients
     share, axes = np.linalg.eigh(root @ (information - bent) @ root.T)
-    inverse = root.T @ (axes / np.maximum(share, LEAST_CURVATURE)) @ axes.T @ root
+    inverse = root.T @ (axes / np.maximum(share, MIN_CURVATURE)) @ axes.T @ root
     # Residuals are smaller than errors, since they were minimised; and a sum of so few squares is now and then too
     # small by far (Hotelling 1931).
     small_sample = count / (count - parameters) * (count - 1) / max(count - parameters - 2, 1)

@@ -13,7 +13,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
 
 UNKNOWN_VELOCITY = (1.0, 10.0)  # rad/s, m/s, standard deviations before anything was measured
 PRIOR_SAMPLES = 20  # for which the settings stand among the accelerations of the run
-LEAST = 0.3  # of the settings: a smooth road is no promise
+MIN_ACCELERATION = 0.3  # of the settings: a smooth road is no promise
 LARGEST_SAMPLE = 3.0  # standard deviations that one of them may count for: a wrong motion teaches little
 
 
@@ -38,7 +38,7 @@ class ConstantVelocity:
     @property
     def accelerations(self) -> NDArray[np.float64]:
         """(6,) standard deviations along each axis, rad/s^2 and m/s^2."""
-        return np.repeat(np.maximum(np.sqrt(self._squares / self._samples), LEAST * self._prior), 3)
+        return np.repeat(np.maximum(np.sqrt(self._squares / self._samples), MIN_ACCELERATION * self._prior), 3)
 
     def distance(self, seconds: float) -> LogScale | None:
         """Length of the path over a time; None where the camera stood."""

@@ -38,8 +38,8 @@ from fvslam_graph.vo.scale import MetricScale
 
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1
-ENOUGH = 2  # times the inliers needed: fewer tracks, and none is left apart
-PATIENCE = 3  # textured images in a row that do not fit the keyframe before it is given up
+MIN_TRACK_RATIO = 2  # times the inliers needed: fewer tracks, and none is left apart
+MAX_FAILURES = 3  # textured images in a row that do not fit the keyframe before it is given up
 GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
 
 
@@ -201,7 +201,7 @@ class VisualOdometry:
     def _used(self, tracks: Tracks) -> NDArray[np.bool_]:
         """(N,) which tracks tell the motion."""
         used = ~np.isin(tracks.ids, self._excluded)
-        return used if used.sum() >= ENOUGH * self.settings.min_inliers else np.ones(len(tracks), bool)
+        return used if used.sum() >= MIN_TRACK_RATIO * self.settings.min_inliers else np.ones(len(tracks), bool)
 
     def _static_rotation(self, tracks: Tracks) -> gtsam.Rot3 | None:
         """The small rotation that explains all image motion since the camera last moved; None where it moved."""
@@ -330,7 +330,7 @@ class VisualOdometry:
         if len(detect(texture, self._features)) < self.settings.min_inliers:
             return self._coast(frame, Status.COASTED)
         self._failures += 1
-        patient = self._failures < PATIENCE and self._points >= self.settings.min_inliers
+        patient = self._failures < MAX_FAILURES and self._points >= self.settings.min_inliers
         estimate = self._coast(frame, Status.COASTED if patient else Status.REINITIALISED)
         estimate = replace(estimate, prev_T_cur=estimate.prev_T_cur.after_loss(self._typical_depth()))
         if patient:
@@ -357,7 +357,7 @@ class VisualOdometry:
         assert frame.image is not None
         with self._stopwatch.stage("association"):
             tracks = keyframe.tracker.track(frame.image)
-        if len(tracks) < ENOUGH * self.settings.min_inliers:
+        if len(tracks) < MIN_TRACK_RATIO * self.settings.min_inliers:
             return None
         located = self._locate(tracks, keyframe.map)
         motion = None if located is None else self._from_map(tracks, located, keyframe.map)

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
 
-GATE = 225.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted,
-AGREE = 22.458  # but once in doubt, less: 99.9 % quantile of the chi-square distribution with six degrees of freedom
+MAX_INNOVATION = 225.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted,
+AGREEMENT_GATE = (
+    22.458  # but once in doubt, less: 99.9 % quantile of the chi-square distribution with six degrees of freedom
+)
 INSISTENCE = 3  # implausible motions in a row that agree with each other: what the images insist on is believed
 AGED = 3.0  # standard deviations, within which a velocity has become so old that it allows for another one
 
@@ -74,7 +76,7 @@ class MotionGate:
         """
         error, innovation = _difference(expected, measured)
         self.insisted = False
-        if innovation > (AGREE if self._refused else GATE):
+        if innovation > (AGREEMENT_GATE if self._refused else MAX_INNOVATION):
             self._refused = [*self._refused[1 - INSISTENCE :], _Measured(stamp, measured)]
             if not self._insisted(accelerations):
                 return None
@@ -102,7 +104,7 @@ class MotionGate:
         velocity = gtsam.Pose3.Logmap(first.pose.mean.between(second.pose.mean)) / behind
         sigmas = accelerations * (ahead + behind) / 2 * ahead
         expected = second.pose.compose(GaussianPose(gtsam.Pose3.Expmap(velocity * ahead), np.diag(sigmas**2)))
-        return _difference(expected, third.pose)[1] < AGREE
+        return _difference(expected, third.pose)[1] < AGREEMENT_GATE
 
 
 def _difference(expected: GaussianPose, measured: GaussianPose) -> tuple[Array, float]:

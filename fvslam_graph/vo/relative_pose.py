@@ -21,17 +21,17 @@ from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 
 KERNEL = 2.0  # deviations beyond which a match counts for less (Cauchy)
 START_NOISE = 0.2  # pixels, of a track along each axis, until residuals tell it,
-LEAST_NOISE = 0.05  # and what they can tell at least
+MIN_NOISE = 0.05  # and what they can tell at least
 WIDTHS = (8, 3, 1, 1, 1)  # limits within which tracks agree, by iteration: from a rough start, few do
 FOUND = 2  # the first of these for what was found by all tracks
-CONVERGED = 1e-5  # rad, of a step
+CONVERGED_STEP = 1e-5  # rad, of a step
 SAME = 1e-3  # rad between rotations, and ten times that between directions, of one and the same solution
 CLEARLY = 4.0  # deviations beyond which a match does not count
-LONGEST = 0.1  # rad, step of the refinement
+MAX_STEP = 0.1  # rad, step of the refinement
 RANSAC_TRACKS = 120  # that RANSAC looks at, at least, where there are more
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
-BEHIND = 5.0  # deviations that a depth behind the camera counts for
+MAX_BEHIND = 5.0  # deviations that a depth behind the camera counts for
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class _Matches:
         """
         errors = np.abs(distance[self._corners])
         errors = errors[errors < limit]
-        return max(float(np.median(errors)) / 0.6745, LEAST_NOISE) if len(errors) else limit
+        return max(float(np.median(errors)) / 0.6745, MIN_NOISE) if len(errors) else limit
 
     def ahead(self, rotation: gtsam.Rot3, direction: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
         """(N,) which points are not seen behind the camera by more than a limit in the current image, pixels.
@@ -209,7 +209,7 @@ class _Fit:
         expected, doubt = known.values[theirs], known.total_sigmas[theirs] ** 2
         ahead = values > 0
         if not ahead.any():
-            return cost + len(mine) * float(np.log1p((BEHIND / KERNEL) ** 2))
+            return cost + len(mine) * float(np.log1p((MAX_BEHIND / KERNEL) ** 2))
         scale = float(np.exp(np.median(np.log(values[ahead] / expected[ahead]))))
         for _ in range(SCALE_ITERATIONS):
             total = variance + scale**2 * doubt
@@ -244,10 +244,10 @@ def _refine(
         information[np.diag_indices(5)] += 1e-9 * np.trace(information) + 1e-12  # fewer than five may agree
         step = -np.linalg.solve(information, weighted.T @ distance)
         length = float(np.linalg.norm(step))
-        step *= min(1.0, LONGEST / max(length, 1e-12))
+        step *= min(1.0, MAX_STEP / max(length, 1e-12))
         rotation = rotation.retract(step[:3])
         direction = gtsam.Unit3(direction).retract(step[3:]).point3()
-        if width == 1 and length < CONVERGED:
+        if width == 1 and length < CONVERGED_STEP:
             break
     distance, jacobian = matches.distance(rotation, direction)
     return _Fit(rotation, direction, distance, jacobian, matches.noise(distance, limit))

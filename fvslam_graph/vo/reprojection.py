@@ -12,7 +12,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 
-NEAREST = 0.05  # times as far away as in the keyframe: nearer than that, nothing is followed
+MIN_DEPTH_RATIO = 0.05  # times as far away as in the keyframe: nearer than that, nothing is followed
 
 AGREES = 4.0  # standard deviations, at most, of a track that agrees
 
@@ -81,7 +81,7 @@ def reprojection_errors(
     def project(values: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Normalised coordinates, depth and nearness, error in the image and its derivative along the line."""
         seen = turned - values[:, None] * step
-        z = np.maximum(seen[:, 2], NEAREST)
+        z = np.maximum(seen[:, 2], MIN_DEPTH_RATIO)
         xy = seen[:, :2] / z[:, None]
         return xy, z, values / z, focal * xy + centre - tracks.current, focal * (xy * step[2] - step[:2]) / z[:, None]
 

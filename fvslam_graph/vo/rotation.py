@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-_ITERATIONS = 4
+_ROTATION_ITERATIONS = 4
 
 
 def fit_rotation(
@@ -27,7 +27,7 @@ def fit_rotation(
     a = previous / np.linalg.norm(previous, axis=1, keepdims=True)
     b = current / np.linalg.norm(current, axis=1, keepdims=True)
     weight = np.ones(len(a))
-    for _ in range(_ITERATIONS):
+    for _ in range(_ROTATION_ITERATIONS):
         u, _, vt = np.linalg.svd((a * weight[:, None]).T @ b)
         rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
         residual = focal * np.linalg.norm(a - b @ rotation.T, axis=1)

@@ -7,7 +7,7 @@ import math
 from fvslam_graph.core.config import ScaleSettings
 from fvslam_graph.core.gaussian_pose import LogScale
 
-GATE = 15.1  # squared deviations: chi-square with one degree of freedom is beyond it once in ten thousand
+SCALE_GATE = 15.1  # squared deviations: chi-square with one degree of freedom is beyond it once in ten thousand
 
 
 class ScaleFilter:
@@ -47,7 +47,7 @@ class ScaleFilter:
         cross_scale, cross_bias = predicted.variance + covariance, bias.variance + covariance
         S = cross_scale + cross_bias + measured.variance
         innovation = measured.mean - predicted.mean - bias.mean
-        if innovation**2 > GATE * S:
+        if innovation**2 > SCALE_GATE * S:
             # One of the two is wrong, and the next measurement tells which.
             self._bias, self._covariance = bias, covariance
             return LogScale(predicted.mean, predicted.variance + (innovation / 2) ** 2)

@@ -6,7 +6,7 @@ import pytest
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import CameraError, ConfigError, StudyError
-from fvslam_graph.core.yaml_files import MAX_SIZE, read_yaml_mapping
+from fvslam_graph.core.yaml_files import MAX_YAML_SIZE, read_yaml_mapping
 from fvslam_graph.study.spec import load_study
 
 BAD = {
@@ -26,7 +26,7 @@ BAD = {
     "nothing": (b"", "is not a YAML file of the form"),
     "zeros": (bytes(100), "cannot be read as text: it holds NUL bytes"),
     "another encoding": (b"\xff\xfea\x00:\x001\x00", "cannot be read as text"),
-    "size": (b"#" * (MAX_SIZE + 1), "at most 1 MB of text are read"),
+    "size": (b"#" * (MAX_YAML_SIZE + 1), "at most 1 MB of text are read"),
 }
 
 

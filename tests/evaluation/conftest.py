@@ -44,13 +44,13 @@ def make_run(tmp_path: Path) -> MakeRun:
         gain: float = 1.0,
         ground_truth: bool = True,
         stop: BaseException | None = None,
-        **facts: object,
+        **metadata: object,
     ) -> Path:
         truth = drive(250) if truth is None else truth
         rng = np.random.default_rng(seed)
-        facts = {"sequence": "drive", "frames": len(truth), "mode": "vo", "scale_source": "plane", **facts}
+        metadata = {"sequence": "drive", "frames": len(truth), "mode": "vo", "scale_source": "plane", **metadata}
         folder = tmp_path / name
-        with RunWriter(folder, Settings(), facts, truth if ground_truth else None) as writer:
+        with RunWriter(folder, Settings(), metadata, truth if ground_truth else None) as writer:
             pose = gtsam.Pose3()
             for index, stamp in enumerate(truth.stamps):
                 relative, covariance = gtsam.Pose3(), np.full((6, 6), np.nan)

@@ -4,7 +4,7 @@ from evo.core.metrics import PoseRelation, Unit
 from evo.core.trajectory import PosePath3D
 from evo.main_rpe import rpe
 
-from fvslam_graph.evaluation.drift import STEP, drift
+from fvslam_graph.evaluation.drift import SEGMENT_STEP, drift
 
 
 def rotated(angles: np.ndarray) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_it_agrees_with_evo() -> None:
             all_pairs=True,
             pairs_from_reference=True,
         )
-        evo[relation] = result.np_arrays["error_array"][::STEP].mean()
+        evo[relation] = result.np_arrays["error_array"][::SEGMENT_STEP].mean()
     t_rel, r_rel = drift(estimate, reference).by_length[100]
     assert 0.1 < t_rel < 20
     assert t_rel == pytest.approx(evo[PoseRelation.translation_part], rel=1e-9)

@@ -7,14 +7,14 @@ from rich.console import Console
 from rich.table import Table
 
 from fvslam_graph.core.errors import ResultsError
-from fvslam_graph.evaluation.report import COLUMNS, runs_table, summary_table
+from fvslam_graph.evaluation.report import RUN_COLUMNS, runs_table, summary_table
 from fvslam_graph.evaluation.runs import evaluate_run
 
 from .conftest import MakeRun, drive
 
 
 def row(folder: Path) -> dict[str, str]:
-    return dict(zip(COLUMNS, runs_table([folder]).rows[0], strict=True))
+    return dict(zip(RUN_COLUMNS, runs_table([folder]).rows[0], strict=True))
 
 
 def shown(table: Table) -> str:
@@ -51,10 +51,10 @@ def test_the_tables_hold_all_runs(make_run: MakeRun) -> None:
     folders = [make_run("good"), make_run("bad|run", seed=1, scale_source="[unit]")]
     evaluate_run(folders[0])
     lines = runs_table(folders).markdown().splitlines()
-    assert [line.replace("\\|", "").count("|") for line in lines[:4]] == [len(COLUMNS) + 1] * 4
+    assert [line.replace("\\|", "").count("|") for line in lines[:4]] == [len(RUN_COLUMNS) + 1] * 4
     assert lines[3].startswith("| bad\\|run | vo | [unit] | finished |")
     text = shown(runs_table(folders).rich(across=True))
-    assert all(name in text for name in ("good", "bad|run", "[unit]", *COLUMNS))
+    assert all(name in text for name in ("good", "bad|run", "[unit]", *RUN_COLUMNS))
 
 
 @pytest.mark.parametrize("content", ["{", "null", '{"drift": 3}', '{"ape_scaled": "x"}', '{"nees": {"mean": 1}}'])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fvslam_graph.evaluation.plots import LONGEST, legible, plot_runs
+from fvslam_graph.evaluation.plots import MAX_NAME_IN_FIGURE, legible, plot_runs
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.runs.run_folder import read_run
 
@@ -47,7 +47,7 @@ def test_markdown_takes_nothing_for_its_own() -> None:
 
 def test_names_in_figures() -> None:
     assert legible("_a") == " _a" and legible("a\nb") == "a b"
-    assert len(legible("x" * 300)) == LONGEST
+    assert len(legible("x" * 300)) == MAX_NAME_IN_FIGURE
 
 
 def test_figures_of_runs_with_any_name(make_run: MakeRun) -> None:

@@ -7,7 +7,7 @@ import pytest
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.slam_estimate import Landmarks, MatchOutcome, LandmarkMatches, SlamEstimate
 from fvslam_graph.core.trajectory import Status
-from fvslam_graph.runs.landmark_table import COLUMNS, NEW, landmark_rows, read_landmarks
+from fvslam_graph.runs.landmark_table import LANDMARK_COLUMNS, NEW, landmark_rows, read_landmarks
 
 
 @pytest.fixture
@@ -39,12 +39,12 @@ def test_a_line_for_every_landmark(estimate):
         ["12", "5", "unmatched", ""],
         ["12", "8", NEW, "0"],
     ]
-    assert all(len(line) == len(COLUMNS) for line in lines)
+    assert all(len(line) == len(LANDMARK_COLUMNS) for line in lines)
 
 
 def test_read_back(estimate, tmp_path):
     path = tmp_path / "landmarks.csv"
-    path.write_text(",".join(COLUMNS) + "\n" + landmark_rows(estimate))
+    path.write_text(",".join(LANDMARK_COLUMNS) + "\n" + landmark_rows(estimate))
     table = read_landmarks(path, 12)
     assert table["id"].tolist() == [3, 5, 8]
     assert table["u"] == pytest.approx([31.0, np.nan, 100.0], nan_ok=True)

@@ -147,7 +147,7 @@ def test_levels_of_a_camera_are_scaled_by_one_factor(tmp_path, gray, bits, highe
 
 
 def test_levels_above_those_of_the_sample_are_white(tmp_path, gray, monkeypatch):
-    monkeypatch.setattr("fvslam_graph.sequences.images.SAMPLE", 2)
+    monkeypatch.setattr("fvslam_graph.sequences.images.IMAGES_LOOKED_AT", 2)
     paths = [tmp_path / f"{number}.png" for number in range(3)]
     for path, factor in zip(paths, (4, 16, 4), strict=True):
         cv2.imwrite(str(path), gray.astype(np.uint16) * factor)

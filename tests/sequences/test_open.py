@@ -52,12 +52,12 @@ def test_camera_height_and_pitch(plain_folder):
 
 
 def test_a_distortion_that_is_left(plain_folder):
-    """A pixel of the straightened image shows what the camera as built has where it projects that ray."""
+    """A pixel of the undistorted image shows what the camera as built has where it projects that ray."""
     plain = open_sequence(plain_folder)
     opened = open_sequence(plain_folder, camera_k1=0.1)
     assert opened.camera == plain.camera and "k1 = 0.1" in opened.notes[-1]
     columns = np.tile(3 * np.arange(plain.camera.width, dtype=np.uint8), (plain.camera.height, 1))
-    straight = replace(plain, load=lambda _: columns).straightened(0.1).load(0)
+    straight = replace(plain, load=lambda _: columns).undistorted(0.1).load(0)
     bent = replace(plain.camera, distortion=Distortion.RADTAN, coefficients=(0.1, 0, 0, 0))
     there = bent.project(np.array([[*plain.camera.normalize(np.array([[50.0, 40.0]]))[0], 1.0]]))[0]
     assert there[0] > 50.3
@@ -147,7 +147,7 @@ def test_images_are_read_one_at_a_time(plain_folder, monkeypatch):
     read = []
     original = images.decode
     monkeypatch.setattr(images, "decode", lambda path: read.append(path.name) or original(path))
-    monkeypatch.setattr(images, "SAMPLE", 4)
+    monkeypatch.setattr(images, "IMAGES_LOOKED_AT", 4)
     sequence = open_sequence(plain_folder)
     assert read == ["0.png", "3.png", "6.png", "9.png"]
     frames = iter(sequence)

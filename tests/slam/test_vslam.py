@@ -76,7 +76,7 @@ def test_every_covariance_is_positive_semi_definite():
 def test_as_many_landmarks_as_wanted_are_measured(wanted):
     scene = simulate_flight(frames=30, seed=2, noise=0.3, landmarks=6000)
     estimates = list(run_vslam(scene, SlamSettings(min_landmarks=wanted, pixel_sigma=0.3), 2))
-    measured = [estimate.searched.measured.sum() for estimate in estimates[5:]]
+    measured = [estimate.matches.measured.sum() for estimate in estimates[5:]]
     assert np.median(measured) >= wanted
     assert max(measured) < 2 * wanted
     for estimate in estimates:
@@ -98,10 +98,10 @@ def test_landmarks_are_where_they_say_they_are():
     squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(estimate.landmarks.covariances[old]), errors)
     assert 0.1 < np.median(squares) < 8  # three degrees of freedom; the scale is shared
     # What was measured lies where it was found.
-    measured = estimate.searched.measured
+    measured = estimate.matches.measured
     seen = scene.observe(19)
-    ids = finder._of_scene[np.searchsorted(finder._ids, estimate.searched.ids[measured])]
-    assert estimate.searched.pixels[measured] == pytest.approx(seen.pixels[np.searchsorted(seen.ids, ids)])
+    ids = finder._of_scene[np.searchsorted(finder._ids, estimate.matches.ids[measured])]
+    assert estimate.matches.pixels[measured] == pytest.approx(seen.pixels[np.searchsorted(seen.ids, ids)])
 
 
 def begun(scene, finder, settings=NOISY, seed=0):
@@ -230,7 +230,7 @@ def test_rebasing_moves_the_pose_alone():
     a, b = plain.step(frame_of(scene, 12)), rebased.step(frame_of(scene, 12))
     assert np.array_equal(a.landmarks.ids, b.landmarks.ids)
     assert a.landmarks.points == pytest.approx(b.landmarks.points, abs=1e-9)
-    assert a.searched.outcome.tolist() == b.searched.outcome.tolist()
+    assert a.matches.outcome.tolist() == b.matches.outcome.tolist()
     assert b.pose.mean.equals(place.mean.compose(b.prev_T_cur.mean), 1e-9)
     assert np.trace(b.pose.covariance) > np.trace(place.covariance)
-    assert MatchOutcome.INLIER in b.searched.outcome and before.index == 11
+    assert MatchOutcome.INLIER in b.matches.outcome and before.index == 11

@@ -10,7 +10,7 @@ from fvslam_graph.core.errors import StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study import execution
 from fvslam_graph.study.execution import execute_all
-from fvslam_graph.study.jobs import kept
+from fvslam_graph.study.jobs import cached_row
 from fvslam_graph.study.results import COSTS, RESULTS, StudyResults
 
 SIM3 = Alignment.SIM3
@@ -59,7 +59,7 @@ def test_killed_and_started_again(jobs, serial, tmp_path, monkeypatch):
     killed = subprocess.run(command, input=pickle.dumps(jobs), capture_output=True)
     assert killed.returncode == -9, killed.stderr.decode()
     folders = [one.folder(tmp_path / "runs") for one in jobs]
-    done = {number for number, folder in enumerate(folders) if kept(folder, SIM3) is not None}
+    done = {number for number, folder in enumerate(folders) if cached_row(folder, SIM3) is not None}
     assert 2 <= len(done) < len(jobs)
 
     executed = []
@@ -100,7 +100,7 @@ def test_a_cluster_that_exists(jobs, serial, tmp_path):
 
 
 def test_a_cluster_that_does_not(jobs, tmp_path, monkeypatch):
-    monkeypatch.setattr(execution, "PATIENCE", "100ms")
+    monkeypatch.setattr(execution, "SCHEDULER_TIMEOUT", "100ms")
     with pytest.raises(StudyError, match="no dask scheduler answers at 'tcp"):
         dict(execute_all(jobs[:1], tmp_path, SIM3, scheduler="tcp://127.0.0.1:9"))
 

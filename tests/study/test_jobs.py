@@ -11,7 +11,7 @@ from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study import jobs as job_module
-from fvslam_graph.study.jobs import execute, kept
+from fvslam_graph.study.jobs import cached_row, execute
 
 SIM3 = Alignment.SIM3
 
@@ -32,8 +32,8 @@ def test_what_was_done_is_not_done_again(job, tmp_path, monkeypatch):
     folder = one.folder(tmp_path)
     row = execute(one, folder, SIM3)
     monkeypatch.setattr(job_module, "run_sequence", None)  # cannot be called
-    assert repr(execute(one, folder, SIM3)) == repr(row) == repr(kept(folder, SIM3))  # NaN differs from itself
-    assert kept(folder, Alignment.ORIGIN) is None
+    assert repr(execute(one, folder, SIM3)) == repr(row) == repr(cached_row(folder, SIM3))  # NaN differs from itself
+    assert cached_row(folder, Alignment.ORIGIN) is None
     other = execute(one, folder, Alignment.ORIGIN)  # evaluated anew, and not run
     assert other["ape"] > row["ape"] and other["ms"] == row["ms"]
 

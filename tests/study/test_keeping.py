@@ -18,7 +18,7 @@ from fvslam_graph.study import jobs as job_module
 from fvslam_graph.study import run as module
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.jobs import Source, render
-from fvslam_graph.study.run import carry_out
+from fvslam_graph.study.run import run_study
 from fvslam_graph.study.spec import Study, comparison, default_folder, load_study
 
 TINY = "synthetic:uav?frames=12&size=160x120"
@@ -50,18 +50,18 @@ def test_sequences_whose_names_look_alike_have_their_own_images(tmp_path, names)
 def test_a_name_of_any_length(tmp_path, unplotted):
     long = study(name="s" * 300, sequences=[{"path": TINY, "name": "x" * 300}])
     assert len(default_folder(long).name) < 100
-    assert carry_out(long, tmp_path / "out", 1).table["status"].tolist() == ["finished"]
+    assert run_study(long, tmp_path / "out", 1).table["status"].tolist() == ["finished"]
 
 
 def test_what_a_user_has_put_beside_the_runs_stays(tmp_path, unplotted):
     out = tmp_path / "out"
-    carry_out(study(), out, 1)
+    run_study(study(), out, 1)
     for folder in (out / "images", out / "runs" / "rendered"):
         folder.mkdir()
         (folder / "mine.npz").write_text("mine")
-    carry_out(study(), out, 1)  # nothing is run, so that nothing is rendered
+    run_study(study(), out, 1)  # nothing is run, so that nothing is rendered
     with pytest.raises(ResultsError, match="rendered holds files that are not of a set of rendered images"):
-        carry_out(study(seeds=2), out, 1)
+        run_study(study(seeds=2), out, 1)
     assert [(folder / "mine.npz").read_text() for folder in (out / "images", out / "runs" / "rendered")] == 2 * ["mine"]
 
 
@@ -72,7 +72,7 @@ def test_a_study_in_a_folder_within_the_recording_is_gone_on_with(drive, tmp_pat
     tables = []
     for _ in range(2):
         job_module._fingerprint.cache_clear()
-        carry_out(comparison(".", ["vo"], 1, "tuned", None, None, "sim3"), Path("runs") / "cmp", 1)
+        run_study(comparison(".", ["vo"], 1, "tuned", None, None, "sim3"), Path("runs") / "cmp", 1)
         tables.append((recording / "runs" / "cmp" / "results.csv").read_bytes())
     assert tables[0] == tables[1] and b"recording" in tables[0]
     assert len(list((recording / "runs" / "cmp" / "runs").iterdir())) == 1
@@ -87,21 +87,21 @@ def test_two_studies_at_once(tmp_path, unplotted):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         other.stdout.readline()
         with pytest.raises(ResultsError, match="out is in use by another process"):
-            carry_out(study(), tmp_path / "out", 1)
+            run_study(study(), tmp_path / "out", 1)
         other.kill()
-    carry_out(study(), tmp_path / "out", 1)
+    run_study(study(), tmp_path / "out", 1)
 
 
 def test_a_declaration_means_the_same_wherever_it_is_read(drive, tmp_path, monkeypatch, unplotted):
     shutil.copytree(drive, tmp_path / "recording")
     monkeypatch.chdir(tmp_path)
     declared = comparison("recording", ["vo"], 1, "tuned", None, {"own": "recording/groundtruth.tum"}, "sim3")
-    carry_out(declared, Path("cmp"), 1)
+    run_study(declared, Path("cmp"), 1)
     before = (tmp_path / "cmp" / "results.csv").read_bytes()
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     again = load_study(tmp_path / "cmp" / "study.yaml")
-    carry_out(again, tmp_path / "cmp", 1)
+    run_study(again, tmp_path / "cmp", 1)
     assert (tmp_path / "cmp" / "results.csv").read_bytes() == before
     assert len(list((tmp_path / "cmp" / "runs").iterdir())) == 1
     assert yaml.safe_load((tmp_path / "cmp" / "study.yaml").read_text())["sequences"][0]["path"].startswith("/")
@@ -111,12 +111,12 @@ def test_results_are_not_replaced_by_failures(drive, tmp_path, unplotted):
     recording = shutil.copytree(drive, tmp_path / "recording")
     files = {"recording": {"own": str(recording / "groundtruth.tum")}}
     declared = study(sequences=[str(recording)], external=files)
-    carry_out(declared, tmp_path / "out", 1)
+    run_study(declared, tmp_path / "out", 1)
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()}
     recording.rename(tmp_path / "unplugged")
     job_module._fingerprint.cache_clear()
     with pytest.raises(StudyError, match=r"1 of 1 runs fail that .* \(vo on recording: failed: .*exist"):
-        carry_out(declared, tmp_path / "out", 1)
+        run_study(declared, tmp_path / "out", 1)
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()} == before
 
 
@@ -131,7 +131,7 @@ def test_other_systems_are_looked_at_first(drive, tmp_path, monkeypatch, unplott
 
     monkeypatch.setattr(module, "execute_all", execute)
     files = {"absent": str(tmp_path / "absent.tum"), "ns": str(tmp_path / "ns.tum")}
-    outcome = carry_out(study(sequences=[str(drive)], external={drive.name: files}), tmp_path / "out", 1)
+    outcome = run_study(study(sequences=[str(drive)], external={drive.name: files}), tmp_path / "out", 1)
     assert len(seen) == 2 and "absent.tum" in seen[0] and "ns on drive: failed" in seen[1]
     assert outcome.table["status"].str.split(":").str[0].tolist() == ["finished", "failed", "failed"]
     failures = outcome.failures()
@@ -177,7 +177,7 @@ def test_a_run_waits_for_whoever_is_at_it(job, tmp_path):
         other.stdout.readline()
         other.stdin.close()
         with claimed(folder, Kind.RUN, wait=True):
-            assert job_module.kept(folder, "sim3") == {"ape": 7}
+            assert job_module.cached_row(folder, "sim3") == {"ape": 7}
         assert job_module.execute(one, folder, "sim3")["ape"] == 7
 
 
@@ -222,7 +222,7 @@ cli.main()
     ]
     assert states.count("finished") == runs - 1
     assert states.count("running" if stop is signal.SIGKILL else "interrupted") == 1
-    carry_out(load_study(folder / "study.yaml"), folder / "out", 1)
+    run_study(load_study(folder / "study.yaml"), folder / "out", 1)
     assert (folder / "out" / "results.csv").read_bytes() == undisturbed
     assert pd.read_parquet(folder / "out" / "results.parquet")["status"].tolist() == 4 * ["finished"]
 
@@ -235,5 +235,5 @@ def undisturbed(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "draw_study", lambda *arguments: [])
         patch.setattr(module, "_draw_trajectories", lambda *arguments: [])
-        carry_out(load_study(folder / "study.yaml"), folder / "out", 1)
+        run_study(load_study(folder / "study.yaml"), folder / "out", 1)
     return (folder / "out" / "results.csv").read_bytes()

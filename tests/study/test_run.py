@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from fvslam_graph.core.files import file_name
-from fvslam_graph.study.run import carry_out
+from fvslam_graph.study.run import run_study
 from fvslam_graph.study.spec import Study
 
 from .conftest import SHORT
@@ -38,7 +38,7 @@ def folder(drive, tmp_path_factory):
             }
         },
     )
-    carry_out(study, out, workers=1)
+    run_study(study, out, workers=1)
     return out
 
 

@@ -55,9 +55,9 @@ def test_it_shows_in_turns(camera, two_views):
 
 
 def test_a_recording():
-    """Bent and straightened again."""
+    """Bent and undistorted again."""
     flight = open_sequence("synthetic:uav?frames=20")
-    k1, sigma = measure_distortion(flight.straightened(-0.02))
+    k1, sigma = measure_distortion(flight.undistorted(-0.02))
     assert abs(k1 - 0.02) < 4 * sigma
     assert 0.0005 < sigma < 0.005
 

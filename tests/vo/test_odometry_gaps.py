@@ -12,7 +12,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.vo.odometry import PATIENCE
+from fvslam_graph.vo.odometry import MAX_FAILURES
 
 
 def statuses(estimates) -> list[Status]:
@@ -51,7 +51,7 @@ def test_the_first_images_are_missing(flight):
 def test_the_first_images_are_black(flight):
     estimates = flight.run(dict.fromkeys(range(3), np.zeros_like(flight.frames[0].image)))
     assert statuses(estimates[:3]) == [Status.STATIC, Status.COASTED, Status.COASTED]
-    assert statuses(estimates[3 + PATIENCE :]) == [Status.TRACKED] * (17 - PATIENCE)
+    assert statuses(estimates[3 + MAX_FAILURES :]) == [Status.TRACKED] * (17 - MAX_FAILURES)
 
 
 def test_no_image_at_all(flight):
@@ -64,8 +64,8 @@ def test_another_scene_becomes_the_reference(flight):
     """Upside down from the tenth image on: nothing is found again."""
     flipped = {i: np.ascontiguousarray(flight.frames[i].image[::-1]) for i in range(10, 20)}
     estimates = flight.run(flipped)
-    given_up = 10 + PATIENCE - 1
-    assert statuses(estimates[10 : given_up + 1]) == [Status.COASTED] * (PATIENCE - 1) + [Status.REINITIALISED]
+    given_up = 10 + MAX_FAILURES - 1
+    assert statuses(estimates[10 : given_up + 1]) == [Status.COASTED] * (MAX_FAILURES - 1) + [Status.REINITIALISED]
     # Upside down, the camera turns round at once, which takes some insistence.
     assert statuses(estimates[given_up + 1 : given_up + 3]) == [Status.COASTED] * 2
     assert statuses(estimates[-3:]) == [Status.TRACKED] * 3

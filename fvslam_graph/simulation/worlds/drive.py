@@ -14,7 +14,7 @@ from fvslam_graph.simulation.worlds.street import Street
 from fvslam_graph.simulation.worlds.waves import Waves
 
 CAMERA_HEIGHT = 1.65  # metres above the road, as on KITTI's car
-LANE = 1.75  # metres from the middle of the street to that of a lane
+LANE_OFFSET = 1.75  # metres from the middle of the street to that of a lane
 SPEED = 10.0  # m/s, on average
 _CYCLE, _PASSED = 100.0, 10.0  # metres: an oncoming car that is 10 m behind the camera begins anew 100 m farther on
 KITTI = Camera(1242, 375, 721.5377, 721.5377, 609.5593, 172.854)
@@ -32,7 +32,7 @@ def drive_motion(seed: int, duration: float) -> Motion:
     weave = Waves.random(rng, (0.15, 60.0))  # m over m
     t = knots(duration)
     x = SPEED * t + advance(t)
-    position = np.column_stack([x, drive_middle(seed)(x) - LANE + weave(x), np.full_like(x, CAMERA_HEIGHT)])
+    position = np.column_stack([x, drive_middle(seed)(x) - LANE_OFFSET + weave(x), np.full_like(x, CAMERA_HEIGHT)])
     return Motion(CubicSpline(t, position), wobble(rng, (0.009, 1.4), (0.004, 0.61)), depression=0.0, leans=False)
 
 
@@ -70,6 +70,6 @@ class DriveWorld:
         x = float(self.motion.path(time)[0])
         if number % 2 == 0:
             gap = 12.0 + 12.0 * (number // 2) + float(self._gaps[number](time))
-            return self.street.roadside.vehicle(x + gap, -LANE, shade=0.9)
+            return self.street.roadside.vehicle(x + gap, -LANE_OFFSET, shade=0.9)
         gap = (self._starts[number] - SPEED * time - x) % _CYCLE - _PASSED
-        return self.street.roadside.vehicle(x + gap, LANE, shade=0.6)
+        return self.street.roadside.vehicle(x + gap, LANE_OFFSET, shade=0.6)

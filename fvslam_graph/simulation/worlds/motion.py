@@ -17,8 +17,8 @@ from fvslam_graph.simulation.worlds.waves import Waves
 RATE = 10.0  # Hz, of the images
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
-_MARGIN = 1.0  # seconds known before the first and after the last frame, for exposures that reach over
-_STEP = 0.05  # seconds between the knots of a path
+_PATH_MARGIN = 1.0  # seconds known before the first and after the last frame, for exposures that reach over
+_KNOT_STEP = 0.05  # seconds between the knots of a path
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Motion:
 
 def knots(duration: float) -> NDArray[np.float64]:
     """Times, seconds, at which to lay down a path of this duration."""
-    return np.arange(-_MARGIN, duration + _MARGIN + _STEP, _STEP)
+    return np.arange(-_PATH_MARGIN, duration + _PATH_MARGIN + _KNOT_STEP, _KNOT_STEP)
 
 
 def wobble(rng: np.random.Generator, *parts: tuple[float, float]) -> Callable[[float], NDArray[np.float64]]:

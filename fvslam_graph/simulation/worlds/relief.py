@@ -10,8 +10,8 @@ from fvslam_graph.simulation.worlds.patterns import noise
 from fvslam_graph.simulation.worlds.ripmap import Grey
 
 CELL = 0.27  # metres
-CELLS = 1024
-PERIOD = CELL * CELLS  # 276 m
+GRID_CELLS = 1024
+PERIOD = CELL * GRID_CELLS  # 276 m
 _BUMPS = 400
 _BUMP_RADIUS = 1.5  # metres
 
@@ -25,7 +25,7 @@ class Relief:
     """
 
     def __init__(self, rng: np.random.Generator) -> None:
-        heights = noise(rng, (CELLS, CELLS), (64, 0.30), (32, 0.25)) + _bumps(rng)
+        heights = noise(rng, (GRID_CELLS, GRID_CELLS), (64, 0.30), (32, 0.25)) + _bumps(rng)
         heights -= heights.mean()
         slope_x = (np.roll(heights, -1, axis=1) - heights) / CELL
         slope_y = (np.roll(heights, -1, axis=0) - heights) / CELL
@@ -45,8 +45,8 @@ class Relief:
 
 def _bumps(rng: np.random.Generator) -> Grey:
     """Mounds and pits, sharper than the hills."""
-    grid = np.zeros((CELLS, CELLS), np.float32)
-    row, column = rng.integers(0, CELLS, (2, _BUMPS))
+    grid = np.zeros((GRID_CELLS, GRID_CELLS), np.float32)
+    row, column = rng.integers(0, GRID_CELLS, (2, _BUMPS))
     grid[row, column] = rng.choice([-1, 1], _BUMPS) * rng.uniform(0.25, 0.5, _BUMPS)
     sigma = _BUMP_RADIUS / CELL
     smooth: Grey = cv2.GaussianBlur(np.pad(grid, 32, mode="wrap"), (0, 0), sigma)[32:-32, 32:-32]
@@ -54,6 +54,6 @@ def _bumps(rng: np.random.Generator) -> Grey:
 
 
 def _interpolate(grid: NDArray[np.float32], x: Grey, y: Grey) -> Grey:
-    column, row = (c / np.float32(CELL) - CELLS * np.floor(c / np.float32(PERIOD)) for c in (x, y))
+    column, row = (c / np.float32(CELL) - GRID_CELLS * np.floor(c / np.float32(PERIOD)) for c in (x, y))
     values: Grey = cv2.remap(grid, column, row, cv2.INTER_LINEAR)
     return values

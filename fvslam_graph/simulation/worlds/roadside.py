@@ -13,7 +13,7 @@ from fvslam_graph.simulation.worlds.boxes import Box
 from fvslam_graph.simulation.worlds.panels import Vector
 from fvslam_graph.simulation.worlds.waves import Waves
 
-Size = tuple[float, float, float]  # length, width, height in metres
+BoxSize = tuple[float, float, float]  # length, width, height in metres
 
 _SLOT = 8.0  # metres along the street for one parked car and one hedge or tree
 _PARKED, _PLANTED = 4.55, 6.7  # metres from the middle of the street to those of parked cars and plants
@@ -76,7 +76,7 @@ class Roadside:
         if rng.random() < 0.45:
             yield Solid(x, self._car(x + rng.uniform(0, 3), side * _PARKED, rng.uniform(0.5, 1.2)))
 
-    def _plant(self, x: float, lateral: float, size: Size, bottom: float = 0.0, shade: float = 1.0) -> Box:
+    def _plant(self, x: float, lateral: float, size: BoxSize, bottom: float = 0.0, shade: float = 1.0) -> Box:
         length, width, height = size
         corner, along, across = self._footprint(x, lateral, length, width)
         corner[2] = bottom

@@ -19,7 +19,7 @@ from fvslam_graph.simulation.worlds.waves import Waves
 
 ALTITUDE = 27.0  # metres above the mean plane, on average
 SPEED = 12.8  # m/s, on average
-_LANE = 4.5  # metres between the cars below it
+_LANE_WIDTH = 4.5  # metres between the cars below it
 View = Literal["downward", "oblique"]
 DEPRESSION: dict[View, float] = {
     "downward": np.pi / 2,
@@ -67,7 +67,7 @@ class UavWorld:
         self.terrain = Terrain(self.camera, seed)
         self._ahead = ALTITUDE / np.tan(DEPRESSION[view])
         rng = stream(seed, "traffic")
-        self._lanes = _LANE * (np.arange(movers) - (movers - 1) / 2)
+        self._lanes = _LANE_WIDTH * (np.arange(movers) - (movers - 1) / 2)
         self._offsets = [
             (Waves.random(rng, (6.0, 8.0), (3.0, 13.0)), Waves.random(rng, (1.0, 5.0))) for _ in range(movers)
         ]
