@@ -34,7 +34,7 @@ SLAM_STAGES = ("filter", "search", "map", "fusion")
 
 @dataclass(frozen=True)
 class FrontEnd:
-    """What is seen, in place of images.
+    """Stands for images: finds what is seen of a simulated scene.
 
     Attributes:
         tracker: Finds points for odometry,
@@ -48,7 +48,7 @@ class FrontEnd:
 
 
 def stages(config: Config) -> tuple[str, ...]:
-    """What a frame's time is made up of."""
+    """The stages that a frame's time is made up of."""
     return ("read", *VO_STAGES) if config.mode is Mode.VO else ("read", *VO_STAGES, *SLAM_STAGES)
 
 
@@ -149,14 +149,14 @@ class _MetricRecovery:
 
 
 def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None:
-    """What landmarks are followed by between two turns of visual SLAM."""
+    """The points by which landmarks are followed between two turns of visual SLAM."""
     if odometry is None or config.slam.association == "search" or odometry.status is not Status.TRACKED:
         return None
     return odometry.points
 
 
 def _fusion(sequence: Sequence, config: Config) -> Fusion:
-    """What the mode makes of both; in mode `vo` there is nothing to fuse."""
+    """The fusion of the mode; in mode `vo` there is nothing to fuse."""
     if config.mode is Mode.GRAPH:
         scale = config.scale
         return GraphFusion(sequence.camera, config.graph, sequence.ground, scale.relative, scale.ground.roughness)

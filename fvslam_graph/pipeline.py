@@ -62,7 +62,7 @@ def resolve_config(config: Config, sequence: Sequence) -> Config:
 
 
 def run_metadata(sequence: Sequence, config: Config) -> dict[str, Any]:
-    """What a run folder says about its sequence and mode."""
+    """The entries of run.json about sequence and mode."""
     return {
         "mode": config.mode.value,
         "sequence": sequence.name,

@@ -1,4 +1,4 @@
-"""What becomes of the pose, and of what it claims to know, when something is wrong in the middle of a recording.
+"""Measure what becomes of the pose and of its covariance when something is wrong in the middle of a recording.
 
 Poses are taken relative to the frame before the disturbance, so that earlier drift does not count, and in the scale
 that the path had up to there where nothing tells metres. Sigma is the deviation of the position in its most uncertain

@@ -1,4 +1,4 @@
-"""What the experiments have in common: runs in parallel, and their outcome as CSV, Markdown and PNG."""
+"""The common part of the experiments: runs in parallel, and their outcome as CSV, Markdown and PNG."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What all parts speak: cameras, trajectories, poses with covariances, frames, settings, errors."""
+"""The words that all parts speak: cameras, trajectories, poses with covariances, frames, settings, errors."""

@@ -85,7 +85,7 @@ class ScaleSettings(_Group):
 
 
 class Mode(StrEnum):
-    """What estimates the poses."""
+    """The estimator of the poses."""
 
     VO = "vo"  # visual odometry alone
     VSLAM = "vslam"  # EKF visual SLAM alone; visual odometry only starts it

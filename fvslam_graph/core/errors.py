@@ -1,4 +1,4 @@
-"""What a user is told when a file, a setting or a run is not usable: one sentence, no traceback."""
+"""Errors that a user is told when a file, a setting or a run is not usable: one sentence, no traceback."""
 
 
 class FvslamError(Exception):

@@ -1,4 +1,4 @@
-"""What an estimator says of each frame."""
+"""The result of an estimator for each frame."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SmoothedGraph(Protocol):
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What an estimator says about one frame.
+    """The result of an estimator for one frame.
 
     Attributes:
         index: Position in the sequence, from 0; every frame has a result, in order.

@@ -40,14 +40,14 @@ class InverseDepths:
 
     @classmethod
     def none(cls) -> InverseDepths:
-        """Of no points."""
+        """The depths of no points."""
         return cls.independent(np.empty(0, np.int64), np.empty(0), np.empty(0))
 
     @classmethod
     def independent(
         cls, ids: NDArray[np.int64], values: NDArray[np.float64], sigmas: NDArray[np.float64]
     ) -> InverseDepths:
-        """Of points whose errors have nothing in common."""
+        """Depths whose errors have nothing in common."""
         return cls(ids, values, sigmas, np.zeros((len(ids), COMMON_ERRORS)))
 
     def match(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -1,4 +1,4 @@
-"""What finds landmarks in images: the filter's eyes."""
+"""The front end of the filter: it finds landmarks in images."""
 
 from __future__ import annotations
 

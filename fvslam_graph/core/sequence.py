@@ -1,4 +1,4 @@
-"""What every recording looks like to the estimators, whatever its format."""
+"""Recordings as the estimators see them, whatever their format."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class DuplicateFilter:
 
 @dataclass(frozen=True)
 class Ground:
-    """What is known of the ground below the camera: the fact that makes one camera metric.
+    """The ground below the camera: the fact that makes one camera metric.
 
     Attributes:
         heights: (N,) metres from the camera to the ground plane, per frame; NaN where unknown.

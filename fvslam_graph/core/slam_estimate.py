@@ -1,4 +1,4 @@
-"""What V-SLAM says about a frame."""
+"""The estimate of V-SLAM for a frame."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class MatchOutcome(IntEnum):
-    """What became of a landmark in a frame."""
+    """Says what became of a landmark in a frame."""
 
     OUT_OF_VIEW = 0
     UNMATCHED = 1  # expected in view and not found
@@ -27,7 +27,7 @@ class MatchOutcome(IntEnum):
 
 @dataclass(frozen=True)
 class LandmarkMatches:
-    """What became of the N landmarks that were in the map before a frame.
+    """Matches of the N landmarks that were in the map before a frame.
 
     Attributes:
         ids: (N,) the same for the same landmark at all times.
@@ -83,7 +83,7 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class LandmarkObservations:
-    """What one image shows of N landmarks.
+    """Observations of N landmarks in one image.
 
     Attributes:
         ids: (N,) the same for the same landmark at all times.

@@ -174,7 +174,7 @@ class Trajectory:
         return replace(trajectory, stamps=stamps[trajectory.stamps.astype(int)], rows=None)
 
     def to_evo(self) -> PoseTrajectory3D:
-        """As evo's own type."""
+        """The same as evo's own type."""
         from evo.core.trajectory import PoseTrajectory3D
 
         return PoseTrajectory3D(poses_se3=list(self.matrices), timestamps=self.stamps)

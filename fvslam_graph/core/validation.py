@@ -1,4 +1,4 @@
-"""What is wrong with a declaration that pydantic refuses, as one sentence."""
+"""Tells what is wrong with a declaration that pydantic refuses, in one sentence."""
 
 from __future__ import annotations
 

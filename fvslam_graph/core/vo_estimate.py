@@ -1,4 +1,4 @@
-"""What visual odometry says about a frame."""
+"""The estimate of visual odometry for a frame."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ class Alignment(StrEnum):
 
     @property
     def options(self) -> dict[str, bool]:
-        """As evo's `ape` and `rpe` take it."""
+        """The arguments of evo's `ape` and `rpe`."""
         return {
             Alignment.NONE: {},
             Alignment.ORIGIN: {"align_origin": True},

@@ -1,4 +1,4 @@
-"""What visual SLAM saw in a frame: the image with its landmarks, and the map from above."""
+"""Plots of what visual SLAM saw in a frame: the image with its landmarks, and the map from above."""
 
 from __future__ import annotations
 

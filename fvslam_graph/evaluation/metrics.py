@@ -70,7 +70,7 @@ class Evaluation:
         return self.poses / self.frames if self.frames else None
 
     def summary(self) -> dict[str, Any]:
-        """What metrics.json holds."""
+        """The content of metrics.json."""
         return {
             "name": self.name,
             "alignment": self.alignment.value,

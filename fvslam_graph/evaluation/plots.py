@@ -152,7 +152,7 @@ def save(figure: Figure, stem: Path, suffixes: Sequence[str]) -> list[Path]:
 
 
 def _ground_truth(runs: Sequence[Run]) -> Trajectory | None:
-    """Of the first run that has it, for as long as the runs last."""
+    """The ground truth of the first run that has it, for as long as the runs last."""
     for run in runs:
         if run.ground_truth is not None:
             return run.ground_truth.between(

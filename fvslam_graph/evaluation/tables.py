@@ -41,14 +41,14 @@ class Table:
     caption: str = ""
 
     def markdown(self) -> str:
-        """As a Markdown table with the caption below."""
+        """The Markdown table with the caption below."""
         rule = ["---"] * self.words + ["---:"] * (len(self.columns) - self.words)
         head, *cells = ([re.sub(r"([\\|<`*])", r"\\\1", cell) for cell in row] for row in self._lines)
         table = "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *cells))
         return table + (f"\n{one_line(self.caption)}\n" if self.caption else "")
 
     def latex(self) -> str:
-        """As a LaTeX table environment; needs the package booktabs."""
+        """The LaTeX table environment; it needs the package booktabs."""
         alignment = "l" * self.words + "r" * (len(self.columns) - self.words)
         head, *body = (" & ".join(map(_escaped, row)) + r" \\" for row in self._lines)
         lines = [r"\toprule", head, r"\midrule", *body, r"\bottomrule"]

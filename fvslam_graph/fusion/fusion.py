@@ -84,7 +84,7 @@ class SlamAlone(Fusion):
 
 
 class RuleFusion(Fusion):
-    """By a rule that makes one motion of two; where visual SLAM is lost, odometry carries on alone.
+    """Fuses by a rule that makes one motion of two; where visual SLAM is lost, odometry carries on alone.
 
     Args:
         rule: The mean, or covariance intersection.

@@ -21,7 +21,7 @@ EXACT_SIGMA = 1e-6  # standard deviation of what is not estimated, as no factor 
 
 @dataclass(frozen=True)
 class CalibrationEstimate:
-    """What landmarks tell of the camera, after all that its file says.
+    """The camera as landmarks determine it, beside all that its file says.
 
     Attributes:
         focal_length: Pixels, along x.
@@ -52,13 +52,13 @@ class SelfCalibration:
         self.start = gtsam.Cal3Bundler(camera.fx, 0.0, 0.0, camera.cx, camera.cy)
 
     def prior(self) -> gtsam.NonlinearFactor:
-        """What the file says: it is right as a rule, and if it is not, it may be wrong by far."""
+        """The prior by the file, which is right as a rule, and if it is not, may be wrong by far."""
         noise = gtsam.noiseModel.Diagonal.Sigmas(self._sigmas)
         tails = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(TAILS), noise)
         return gtsam.PriorFactorCal3Bundler(CALIBRATION, self.start, tails)
 
     def step(self, value: gtsam.Cal3Bundler) -> Array:
-        """What a value adds to the logarithm of the focal length and to k1 of the file, (2,)."""
+        """The change that a value makes to the logarithm of the focal length and to k1 of the file, (2,)."""
         return np.array([value.fx() / self._camera.fx - 1, value.k1()])
 
     def jacobian(self) -> Array:

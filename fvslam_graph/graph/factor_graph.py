@@ -329,7 +329,7 @@ class Graph:
             self._distances = dict(within)
 
     def _begin_batch(self) -> None:
-        """What the next update of the solver takes in."""
+        """Begin to collect what the next update of the solver takes in."""
         self._factors, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._seen: dict[int, float] = {}
 

@@ -1,4 +1,4 @@
-"""What odometry, landmarks and other knowledge say, as factors of GTSAM."""
+"""Factors of GTSAM for odometry, landmarks and other knowledge."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _KERNELS: dict[str, Callable[[float], gtsam.noiseModel.mEstimator.Base]] = {
 
 
 def pose_key(frame: int) -> int:
-    """Of the camera's pose world_T_camera at a frame."""
+    """The key of the camera's pose world_T_camera at a frame."""
     return int(gtsam.symbol("x", frame))
 
 
@@ -57,7 +57,7 @@ def is_landmark(key: int) -> bool:
 
 
 def landmark_key(landmark: int) -> int:
-    """Of a landmark's position in the world."""
+    """The key of a landmark's position in the world."""
     return int(gtsam.symbol("l", landmark))
 
 
@@ -184,7 +184,7 @@ class LandmarkFactors:
         self._settings = settings
 
     def deviation(self, sigma: float, count: int) -> float:
-        """Of a pixel that errs by `sigma` along each axis on its own, in an image with so many landmarks.
+        """The deviation of a pixel with noise `sigma` of its own along each axis, in an image with so many landmarks.
 
         What they all err alike, by what makes tracks drift, does not average out. A covariance
         s^2 v v^T, whatever the pattern v of numbers up to 1, is at most N s^2 I, for N landmarks: with that added to

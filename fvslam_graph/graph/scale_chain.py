@@ -19,12 +19,12 @@ CONVENTION = 1e-3  # of the logarithm of a scale that nothing measures
 
 
 def scale_key(frame: int) -> int:
-    """Of the logarithm of true over measured lengths, as odometry learns it at a frame."""
+    """The key of the logarithm of true over measured lengths, as odometry learns it at a frame."""
     return int(gtsam.symbol("s", frame))
 
 
 def bias_key(frame: int) -> int:
-    """Of what the scale source errs at a frame and at those around it, in the logarithm of the scale."""
+    """The key of the scale source's bias at a frame and at those around it, in the logarithm of the scale."""
     return int(gtsam.symbol("b", frame))
 
 

@@ -140,7 +140,7 @@ class Solver:
         return np.block([[joint.at(a, b) for b in keys] for a in keys])
 
     def _recovering(self, compute: Callable[[], Any]) -> Any:
-        """What may fail where the estimate itself did not."""
+        """Compute what may fail where the estimate itself did not."""
         try:
             return compute()
         except RuntimeError as error:

@@ -18,7 +18,7 @@ _MAKER = "fvslam_graph"
 
 
 class Kind(StrEnum):
-    """What a folder of ours holds."""
+    """The kinds of folders that are ours."""
 
     RUN = "run"
     STUDY = "study"
@@ -27,7 +27,7 @@ class Kind(StrEnum):
 
 
 def kind_of(folder: Path) -> Kind | None:
-    """What kind of folder of ours it is; None where it is not ours.
+    """The kind of a folder of ours; None where it is not ours.
 
     Where there is no mark, as in a copy without hidden files, `run.json` says that it is a run.
     """
@@ -104,7 +104,7 @@ def _mark(folder: Path, kind: Kind) -> None:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """What a JSON file says; nothing where it cannot be read."""
+    """The content of a JSON file; nothing where it cannot be read."""
     try:
         content = json.loads(path.read_bytes()) if path.is_file() else {}
     except (OSError, ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""What an estimator says of each frame, and a whole run of it."""
+"""A whole run of an estimator."""
 
 from __future__ import annotations
 

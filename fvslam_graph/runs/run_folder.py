@@ -288,7 +288,7 @@ def _no_zero(direction: tuple[float, float, float]) -> tuple[float, float, float
 
 
 class _Info(BaseModel):
-    """What readers of run.json rely on; it holds more."""
+    """The entries of run.json that readers rely on; it holds more."""
 
     model_config = ConfigDict(strict=True)
 

@@ -23,7 +23,7 @@ _RATE_KEYS = ("rate", "rate_hz", "fps", "Camera.fps")
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a calibration file says.
+    """The content of a calibration file.
 
     Attributes:
         camera: The camera as built.

@@ -1,4 +1,4 @@
-"""What was recognised in a recording, in words: the content of `fvslam info`."""
+"""The description of a recording, in words: the content of `fvslam info`."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ class ImageFiles:
         return load
 
     def notes(self, camera: Camera) -> tuple[str, ...]:
-        """What is odd about the files of a camera, one sentence each."""
+        """Notes on what is odd about the files of a camera, one sentence each."""
         missing = [index for index, path in enumerate(self._paths) if path is None or not path.is_file()]
         other = [file for file, size in self._sizes.items() if size != (camera.width, camera.height)]
         looked_at = f"of the {len(self._sizes) + len(self._undecoded)} images looked at"

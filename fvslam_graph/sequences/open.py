@@ -15,12 +15,12 @@ from fvslam_graph.sequences.plausibility import doubts
 
 
 class Format(Protocol):
-    """What the module of a format offers."""
+    """The interface of the module of a format."""
 
     FORMAT: str
     """Its name."""
     LAYOUT: str
-    """What it looks for, in words."""
+    """The files that it looks for, in words."""
 
     def matches(self, path: Path) -> bool:
         """Whether the path looks like a recording of this format."""

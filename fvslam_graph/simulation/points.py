@@ -77,7 +77,7 @@ class PointScene:
         return len(self.trajectory)
 
     def observe(self, frame: int) -> SceneObservation:
-        """What is seen in a frame; the same whenever and in whatever order frames are asked for."""
+        """The landmarks seen in a frame; the same whenever and in whatever order frames are asked for."""
         pixels, inside = self._project(frame)
         alive = (self.lives[:, 0] <= frame) & (frame < self.lives[:, 1])
         ids = np.flatnonzero(inside & alive)
@@ -101,7 +101,7 @@ class PointScene:
         return Sequence(name, "points", self.camera, stamps, load, self.trajectory, self.ground)
 
     def match(self, a: int, b: int) -> Matches:
-        """What is seen in both of two frames."""
+        """The landmarks seen in both of two frames."""
         first, second = self.observe(a), self.observe(b)
         ids, in_a, in_b = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
         wrong = first.is_outlier[in_a] | second.is_outlier[in_b]

@@ -26,7 +26,7 @@ EXAMPLE = "synthetic:uav?seed=3&frames=100"
 
 
 class _Options(BaseModel):
-    """What both worlds take; `synthetic:WORLD?name=value&...` sets them."""
+    """The options of both worlds; `synthetic:WORLD?name=value&...` sets them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -68,7 +68,7 @@ class DriveOptions(_Options):
 
 
 class World(Protocol):
-    """What can be rendered."""
+    """A world that can be rendered."""
 
     camera: Camera
     motion: Motion

@@ -1,4 +1,4 @@
-"""What is done to large covariance matrices, of which new memory and transposes cost more than the arithmetic."""
+"""Operations on large covariance matrices, of which new memory and transposes cost more than the arithmetic."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def known_depths(points: KnownPoints, camera: Camera, size: int) -> DepthPrior:
 
 
 def depths_from_map(state: State, pixels: Array, camera: Camera, spread: float) -> DepthPrior | None:
-    """As far away as the landmarks around them in the image; None without landmarks in front of the camera.
+    """A prior as far away as the landmarks around in the image; None without landmarks in front of the camera.
 
     The logarithm of the inverse distance is a weighted mean over the map, plus noise of deviation `spread`. It goes
     along with the map's scale, which it so tells nothing about: a fixed prior would pull at it.

@@ -31,7 +31,7 @@ class LandmarkHistory:
 
     @classmethod
     def none(cls) -> Self:
-        """Of no landmarks."""
+        """The history of no landmarks."""
         none = np.empty(0, np.int64)
         return cls(none, none, none, none, none)
 
@@ -52,7 +52,7 @@ class LandmarkHistory:
         return replace(self, expected=more, measured=hits)
 
     def begun(self, ids: NDArray[np.int64], frame: int, tracks: NDArray[np.int64]) -> LandmarkHistory:
-        """With new landmarks, (K,), whose ids are higher than all that exist, and their tracks, (K,)."""
+        """The history with new landmarks, (K,), whose ids are higher than all that exist, and their tracks, (K,)."""
         zero = np.zeros(len(ids), np.int64)
         return LandmarkHistory(
             np.concatenate([self.ids, ids]),

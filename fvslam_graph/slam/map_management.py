@@ -70,7 +70,7 @@ class MapManager:
         return state.without(~in_view | rare, (index < LINEARITY) & (state.inverse_depth[:, 2] > 0))
 
     def add_landmarks(self, state: State, frame: Frame, points: KnownPoints | None, map_T_camera: gtsam.Pose3) -> State:
-        """With as many landmarks that begin at this frame, away from those that exist, as the next frame may lack.
+        """The state with as many new landmarks, away from those that exist, as the next frame may lack.
 
         Args:
             state: In the present camera.

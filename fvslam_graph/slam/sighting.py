@@ -1,4 +1,4 @@
-"""What visual SLAM makes of an image from a state that it had, be it the last one or one from before a loss."""
+"""The step that visual SLAM makes by an image, from its last state or from one before a loss."""
 
 from __future__ import annotations
 

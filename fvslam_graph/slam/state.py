@@ -118,7 +118,7 @@ class State:
         return to_points(self.anchored_inverse_depth)
 
     def position_covariances(self) -> Array:
-        """Of the landmarks as points, with what is uncertain of their scale; (M + L, 3, 3)."""
+        """Covariances (M + L, 3, 3) of the landmarks as points, with what is uncertain of their scale."""
         jacobian = np.concatenate([self.positions[:, :, None], self.J_landmark], axis=2)
         columns = np.hstack([np.full((len(self), 1), SCALE), self.columns])
         return each_transformed(self.covariance, jacobian, columns)

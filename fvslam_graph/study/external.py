@@ -85,7 +85,7 @@ def _cut(trajectory: Trajectory, sequence: Sequence) -> Trajectory:
 
 
 def _at_frames(frames: NDArray[np.int64], trajectory: Trajectory, sequence: Sequence, path: Path) -> Trajectory:
-    """With the stamps of these frames of the sequence."""
+    """The trajectory with the stamps of these frames of the sequence."""
     if frames.min() < 0 or frames.max() >= len(sequence) or len(np.unique(frames)) < len(frames):
         raise TrajectoryError(
             f"{path} does not belong to the {len(sequence)} frames of {sequence.name}: its poses are for frames "

@@ -166,7 +166,7 @@ def cached_row(folder: Path, align: Alignment) -> Row | None:
 
 
 def row_of(run: Run, evaluation: Evaluation | None) -> Row:
-    """What tables say of a run.
+    """The row of a run in tables.
 
     Errors are those of the online trajectory after alignment: `ape` (m), `ape_rot` (deg), `rpe` from frame to frame (m)
     and `rpe_1m` over a metre, all RMSE; `ape_smoothed` (m); drift `t_rel` (%) and `r_rel` (deg/100 m) without scale
@@ -230,7 +230,7 @@ METRIC_COLUMNS = (
 
 
 def _note(run: Run) -> str:
-    """What a reader of the table has to know of a run that came to its end."""
+    """A note that a reader of the table has to know of a run that came to its end."""
     smoothed = run.info.get("smoothed") or ""
     return f"the smoothed trajectory is {smoothed}" if smoothed.startswith("not determined") else ""
 
@@ -262,7 +262,7 @@ def _opened(source: Source, rendered: Path | None) -> Sequence:
 
 @cache
 def _fingerprint(source: Source) -> list[Any]:
-    """What the numbers depend on in a recording: what is known of it, and size and time of each file."""
+    """The parts of a recording that numbers depend on: what is known of it, and size and time of each file."""
     sequence = source.open()
     truth = sequence.ground_truth
     known = [sequence.stamps, sequence.camera, sequence.ground and sequence.ground.heights, sequence.ground]

@@ -88,7 +88,7 @@ class StudyResults:
 
     @property
     def caption(self) -> str:
-        """What a reader has to know of the numbers."""
+        """The caption: what a reader has to know of the numbers."""
         sources = " / ".join(sorted(set(self.finished["scale_source"]) - {""}))
         return (
             f"{' / '.join(self.table['sequence'].unique())}. Online trajectories, {self.align} alignment, scale from "
@@ -138,7 +138,7 @@ class StudyResults:
 
 
 def _keys(table: pd.DataFrame) -> list[tuple[Any, ...]]:
-    """What tells runs from each other."""
+    """The labels that tell runs from each other."""
     return list(zip(*(table[label] for label in LABELS), table["seed"].fillna(-1), strict=True))
 
 

@@ -105,7 +105,7 @@ def _external(study: Study) -> Iterator[tuple[Row, Run | None]]:
 
 
 def _draw_trajectories(results: StudyResults, sequence: str, others: list[Run], out: Path) -> list[Path]:
-    """Of each mode the run whose error is the median, with the first preset and variant, and other people's."""
+    """Draw of each mode the run whose error is the median, with the first preset and variant, and other people's."""
     here = results.finished[(results.finished["sequence"] == sequence) & (results.finished["folder"] != "")]
     runs = []
     for mode, group in here.groupby("mode", sort=False):

@@ -1,4 +1,4 @@
-"""What a study consists of, as declared in a YAML file."""
+"""The parts of a study, as declared in a YAML file."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def verdicts(found: Sequence[Difference]) -> list[str]:
 
 
 def _better(found: Sequence[Difference]) -> Iterator[str]:
-    """What each mode is significantly better than, and by how much."""
+    """Sentences on what each mode is significantly better than, and by how much."""
     worse: dict[str, list[str]] = {}
     for difference in found:
         if difference.significant:

@@ -155,7 +155,7 @@ class VisualOdometry:
         return estimate
 
     def _measure(self, frame: Frame, tracks: Tracks) -> _Motion | None:
-        """What the image says of the motion, and how much parallax it has; None where nothing fits."""
+        """The motion that the image shows, and how much parallax it has; None where nothing fits."""
         with self._stopwatch.stage("pose"):
             rotation, unexplained = fit_rotation(
                 rays(self.camera, tracks.keyframe), rays(self.camera, tracks.current), self.camera.fx

@@ -92,7 +92,7 @@ class MotionGate:
         return GaussianPose(measured.mean, measured.covariance + sum(open_now, np.zeros((6, 6))))
 
     def forget(self) -> None:
-        """What was refused was measured against a keyframe that is none any more."""
+        """Forget what was refused: it was measured against a keyframe that is none any more."""
         self._refused = []
 
     def _insisted(self, accelerations: Array) -> bool:

@@ -36,7 +36,7 @@ MAX_BEHIND = 5.0  # deviations that a depth behind the camera counts for
 
 @dataclass(frozen=True)
 class RelativePose:
-    """What two views truly measure: five degrees of freedom.
+    """The relative pose that two views truly measure: five degrees of freedom.
 
     Attributes:
         rotation: prev_R_cur.

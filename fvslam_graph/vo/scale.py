@@ -124,7 +124,7 @@ class MetricScale:
         predicted: LogScale,
         rng: np.random.Generator,
     ) -> LogScale | None:
-        """By one view of the ground, with the variance of what its neighbours do not err about likewise."""
+        """The scale by one view of the ground, with a variance without the bias that neighbouring views share."""
         height = previous.height
         if self._aligner is None or previous.image is None or current.image is None or not height > 0:
             return None

@@ -1,4 +1,4 @@
-"""What a real camera adds to a rendered image: blur, exposure, noise, lost frames."""
+"""Effects that a real camera adds to a rendered image: blur, exposure, noise, lost frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What procedural textures are made of: periodic noise and periodic drawings."""
+"""The parts of procedural textures: periodic noise and periodic drawings."""
 
 from __future__ import annotations
 

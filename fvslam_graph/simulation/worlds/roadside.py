@@ -1,4 +1,4 @@
-"""What stands and drives along a street: houses, parked cars, hedges, trees, traffic."""
+"""Things that stand and drive along a street: houses, parked cars, hedges, trees, traffic."""
 
 from __future__ import annotations
 

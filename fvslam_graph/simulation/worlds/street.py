@@ -48,7 +48,7 @@ class Street:
 
     @cached_property
     def solids(self) -> list[Solid]:
-        """What stands along the street, the farthest first."""
+        """Things along the street, the farthest first."""
         return self.roadside.build(-2 * _BEHIND, self._end + _AHEAD)
 
     @cached_property
@@ -83,7 +83,7 @@ class Street:
         return backdrop
 
     def panels(self, pose: gtsam.Pose3, traffic: Sequence[Solid] = ()) -> list[Panel]:
-        """What can be in view, the farthest first."""
+        """Things that can be in view, the farthest first."""
         x = pose.x()
         first = bisect_left(self.solids, -(x + _AHEAD), key=lambda solid: -solid.order)
         last = bisect_right(self.solids, _BEHIND - x, key=lambda solid: -solid.order)
