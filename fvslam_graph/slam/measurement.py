@@ -21,36 +21,55 @@ MIN_DEPARTURE = 0.2  # of a pixel's deviation; a smaller departure from linear e
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """Where N landmarks are expected.
+class PixelModel:
+    """How the pixels of landmarks depend on the state.
 
     Attributes:
+        camera: Undistorted.
+        seconds: Since the previous frame.
+        sigma: Of a matched pixel along each axis.
+    """
+
+    camera: Camera
+    seconds: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where a state expects its N landmarks.
+
+    Attributes:
+        state: Before the step into the new camera.
+        model: Of the pixels.
         pixels: (N, 2); of no meaning where `in_front` is False.
         in_front: (N,) bool, of the camera.
         blocks: (N, 2, 12) their Jacobian by what each depends on: the velocity, and the landmark itself.
         columns: (N, 12) the columns of these blocks.
-        width: n, of the error state.
     """
 
+    state: State
+    model: PixelModel
     pixels: Array
     in_front: NDArray[np.bool_]
     blocks: Array
     columns: NDArray[np.intp]
-    width: int
 
     def jacobian(self, chosen: NDArray[np.bool_]) -> scipy.sparse.csr_array:
         """The Jacobian (2K, n) of the K chosen landmarks, (N,), by the error state."""
-        return sparse_rows([(self.blocks[chosen], self.columns[chosen])], self.width)
+        return sparse_rows([(self.blocks[chosen], self.columns[chosen])], len(self.state.covariance))
 
-    def innovation_covariances(self, state: State, chosen: NDArray[np.bool_], sigma: float) -> Array:
-        """(K, 2, 2) of each chosen pixel on its own, with the deviation `sigma` of a match, pixels^2."""
-        S = each_transformed(state.covariance, self.blocks[chosen], self.columns[chosen]) + sigma**2 * np.eye(2)
+    def innovation_covariances(self, chosen: NDArray[np.bool_]) -> Array:
+        """(K, 2, 2) of each chosen pixel on its own, with the noise of a match, pixels^2."""
+        S = each_transformed(self.state.covariance, self.blocks[chosen], self.columns[chosen])
+        S = S + self.model.sigma**2 * np.eye(2)
         return (S + S.mT) / 2
 
 
-def predict_pixels(state: State, seconds: float, camera: Camera) -> Prediction:
+def predict_pixels(state: State, model: PixelModel) -> Prediction:
     """Pixels of all landmarks after the step that the state's velocity says, with their Jacobian."""
-    prev_T_cur, J_velocity = motion_from_velocity(state.velocity, seconds)
+    camera = model.camera
+    prev_T_cur, J_velocity = motion_from_velocity(state.velocity, model.seconds)
     rotation, translation = prev_T_cur.rotation().matrix(), prev_T_cur.translation()
     # Landmarks as points times a weight, which is the inverse depth, or 1.
     scaled, J_scaled = scaled_points(state.anchored_inverse_depth)
@@ -74,49 +93,37 @@ def predict_pixels(state: State, seconds: float, camera: Camera) -> Prediction:
     blocks, columns = np.empty((len(seen), 2, 12)), np.empty((len(seen), 12), np.intp)
     blocks[:, :, :6], blocks[:, :, 6:] = J_seen @ (J_seen_motion @ J_velocity), J_seen @ rotation.T @ J_landmark
     columns[:, :6], columns[:, 6:] = np.arange(FIXED)[VELOCITY], state.columns
-    return Prediction(pixels, in_front, blocks, columns, len(state.covariance))
+    return Prediction(state, model, pixels, in_front, blocks, columns)
 
 
-def update(
-    state: State,
-    prediction: Prediction,
-    chosen: NDArray[np.bool_],
-    pixels: Array,
-    seconds: float,
-    camera: Camera,
-    sigma: float,
-) -> tuple[State, Prediction]:
+def update(prediction: Prediction, chosen: NDArray[np.bool_], pixels: Array) -> Prediction:
     """The iterated EKF update (Bar-Shalom, Li, Kirubarajan 2001, section 10.5.2) with matched landmarks.
 
     With S = L L^T and Y = L^-1 H P, the covariance becomes P - Y^T Y, which is symmetric to the bit.
 
     Args:
-        state: Predicted, or updated with other matches.
-        prediction: Of this state.
+        prediction: Of a state that is predicted, or updated with other matches.
         chosen: (N,) which of the landmarks are measured.
         pixels: (N, 2) where they were matched.
-        seconds: Since the previous frame.
-        camera: Undistorted.
-        sigma: Of a matched pixel along each axis.
 
     Returns:
-        The updated state, and its own prediction.
+        The prediction of the updated state.
     """
     if not chosen.any():
-        return state, prediction
-    origin, error = state, np.zeros(len(state.covariance))
+        return prediction
+    origin, model = prediction.state, prediction.model
+    error = np.zeros(len(origin.covariance))
     for _ in range(MAX_ITERATIONS):
         jacobian, expected = prediction.jacobian(chosen), prediction.pixels
-        HP, S = innovation_covariance(jacobian, origin.covariance, sigma)
+        HP, S = innovation_covariance(jacobian, origin.covariance, model.sigma)
         L = np.linalg.cholesky(S)
         innovation = (pixels - expected)[chosen].ravel() + jacobian @ error
         error = HP.T @ scipy.linalg.cho_solve((L, True), innovation, check_finite=False)
-        state = origin.retract(error)
-        prediction = predict_pixels(state, seconds, camera)
+        prediction = predict_pixels(origin.retract(error), model)
         linear = innovation - jacobian @ error
-        if np.abs((pixels - prediction.pixels)[chosen].ravel() - linear).max() < MIN_DEPARTURE * sigma:
+        if np.abs((pixels - prediction.pixels)[chosen].ravel() - linear).max() < MIN_DEPARTURE * model.sigma:
             break
     Y = scipy.linalg.solve_triangular(L, HP, lower=True, check_finite=False)
     covariance = Y.T @ Y
     np.subtract(origin.covariance, covariance, out=covariance)  # in place: new memory costs more than the arithmetic
-    return replace(state, covariance=covariance), prediction
+    return replace(prediction, state=replace(prediction.state, covariance=covariance))

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.core.camera import Camera
 from fvslam_graph.slam.covariances import innovation_covariance, inverse_root
 from fvslam_graph.slam.inverse_depth import Array
 from fvslam_graph.slam.measurement import PIXEL_GATE, Prediction, predict_pixels
-from fvslam_graph.slam.state import State
 
 RANSAC_CONFIDENCE = 0.99  # of having drawn one right match
 MAX_SAMPLE = 40  # matches, drawn of more, that hypotheses are tested on: enough to tell a right one
@@ -24,32 +22,19 @@ KNOWN = 2.0  # pixels; a match that is expected better than this has a whole vot
 
 
 def low_innovation_inliers(
-    state: State,
-    prediction: Prediction,
-    pixels: Array,
-    found: NDArray[np.bool_],
-    seconds: float,
-    camera: Camera,
-    sigma: float,
-    slack: float,
-    rng: np.random.Generator,
+    prediction: Prediction, pixels: Array, found: NDArray[np.bool_], slack: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.bool_], float]:
     """The largest set of matches in which each lies where the others lead to.
 
     A hypothesis takes one match as right. Those that it does not rule out are then held against each other (the local
     optimisation), since one match leaves some of the motion open, such as the roll. Hypotheses compete on a sample of
-    the matches. It is held against the best set as long as this wins votes: wrong ones among those not ruled out lead
-    the others astray, and the few that agree nevertheless lead to the rest. All matches are then held against this set.
-    Where it leads far from what was expected, they are checked once more, linearised there.
+    the matches. All matches are then held against the best set. Where it leads far from what was expected, they are
+    checked once more, linearised there.
 
     Args:
-        state: Predicted.
-        prediction: Of its N landmarks.
+        prediction: Of N landmarks.
         pixels: (N, 2) where they were matched.
         found: (N,) which were matched.
-        seconds: Since the previous frame.
-        camera: Undistorted.
-        sigma: Of a matched pixel along each axis.
         slack: Pixels by which the linearisation may be off.
         rng: Draws the matches.
 
@@ -59,42 +44,51 @@ def low_innovation_inliers(
     """
     if not found.any():
         return found.copy(), 0.0
+    state, model = prediction.state, prediction.model
     candidates = np.flatnonzero(found)
-    HP, S = innovation_covariance(prediction.jacobian(found), state.covariance, sigma)
+    HP, S = innovation_covariance(prediction.jacobian(found), state.covariance, model.sigma)
     off = (pixels - prediction.pixels)[candidates]
 
     sample = rng.permutation(len(candidates))[:MAX_SAMPLE]
     rows = (2 * sample[:, None] + (0, 1)).ravel()
-    known, likely = off[sample], S[np.ix_(rows, rows)]
-    chosen, votes, needed = np.zeros(len(sample), bool), 0.0, len(sample)
-    for tried in range(len(sample)):
-        if tried >= needed:
-            break
-        possible = _possible(tried, known, likely, slack)
-        agree, sum_of_votes = _agree(possible, known, likely, slack)
-        if sum_of_votes > votes:
-            chosen, votes = agree, sum_of_votes
-            miss = 1 - chosen.sum() / len(sample)
-            needed = min(needed, math.ceil(math.log(1 - RANSAC_CONFIDENCE) / math.log(miss))) if miss > 0 else 0
-    while (agreed := _agree(chosen, known, likely, slack))[1] > votes:
-        chosen, votes = agreed
+    chosen, votes = _best_set(off[sample], S[np.ix_(rows, rows)], slack)
     best = np.zeros(len(candidates), bool)
     best[sample[chosen]] = True
     if len(sample) < len(candidates):
         best, votes = _agree(best, off, S, slack)
     # What is left out of a linear model is quadratic in the angle by which the view differs from the expected one.
-    if best.any() and (off[best] ** 2).sum(axis=1).max() > slack * camera.fx / 4:
+    if best.any() and (off[best] ** 2).sum(axis=1).max() > slack * model.camera.fx / 4:
         rows = np.repeat(best, 2)
         whiten = inverse_root(S[np.ix_(rows, rows)])
         error = HP[rows].T @ (whiten.T @ (whiten @ off[best].ravel()))
-        there = predict_pixels(state.retract(error), seconds, camera)
+        there = predict_pixels(state.retract(error), model)
         jacobian = there.jacobian(found)
         off = (pixels - there.pixels)[candidates] + (jacobian @ error).reshape(-1, 2)
-        _, S = innovation_covariance(jacobian, state.covariance, sigma)
+        _, S = innovation_covariance(jacobian, state.covariance, model.sigma)
         best, votes = _agree(best, off, S, slack)
     inliers = found.copy()
     inliers[candidates] = best
     return inliers, votes
+
+
+def _best_set(off: Array, S: Array, slack: float) -> tuple[NDArray[np.bool_], float]:
+    """Which of N matches are the best hypothesis, with the sum of their votes; arguments as for `_agree`.
+
+    Matches are held against the best set as long as this wins votes: wrong ones among those not ruled out lead the
+    others astray, and the few that agree nevertheless lead to the rest.
+    """
+    chosen, votes, needed = np.zeros(len(off), bool), 0.0, len(off)
+    for tried in range(len(off)):
+        if tried >= needed:
+            break
+        agree, sum_of_votes = _agree(_possible(tried, off, S, slack), off, S, slack)
+        if sum_of_votes > votes:
+            chosen, votes = agree, sum_of_votes
+            miss = 1 - chosen.sum() / len(off)
+            needed = min(needed, math.ceil(math.log(1 - RANSAC_CONFIDENCE) / math.log(miss))) if miss > 0 else 0
+    while (agreed := _agree(chosen, off, S, slack))[1] > votes:
+        chosen, votes = agreed
+    return chosen, votes
 
 
 def _possible(taken: int, off: Array, S: Array, slack: float) -> NDArray[np.bool_]:

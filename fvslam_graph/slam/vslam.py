@@ -24,7 +24,7 @@ from fvslam_graph.slam.covariances import keep_memory
 from fvslam_graph.slam.inverse_depth import Array
 from fvslam_graph.slam.landmark_history import NO_TRACK
 from fvslam_graph.slam.map_management import MapManager
-from fvslam_graph.slam.measurement import PIXEL_GATE, Prediction, predict_pixels, update
+from fvslam_graph.slam.measurement import PIXEL_GATE, PixelModel, Prediction, predict_pixels, update
 from fvslam_graph.slam.motion import (
     compose,
     last_motion,
@@ -155,7 +155,7 @@ class VSlam:
         noise_inflation: float,
     ) -> Sighting:
         """Step from an earlier state into the new camera, by what the image shows of its map; arguments of `step`."""
-        seconds, sigma = frame.stamp - before.stamp, self.settings.pixel_sigma
+        seconds = frame.stamp - before.stamp
 
         # Predict the motion, and where it leads the landmarks to.
         with self._stopwatch.stage("filter"):
@@ -163,31 +163,24 @@ class VSlam:
                 state = predict_constant_velocity(before.state, seconds, self.settings, noise_inflation)
             else:
                 state = predict_from_odometry(before.state, odometry, seconds)
-            prediction = predict_pixels(state, seconds, self.camera)
+            prediction = predict_pixels(state, PixelModel(self.camera, seconds, self.settings.pixel_sigma))
             visible = prediction.in_front & self.camera.contains(prediction.pixels, MARGIN)
-            ellipses = prediction.innovation_covariances(state, np.ones(len(state), bool), sigma)
+            ellipses = prediction.innovation_covariances(np.ones(len(state), bool))
 
         # Look for each landmark inside its ellipse.
         with self._stopwatch.stage("search"):
-            prev_T_cur, _ = motion_from_velocity(state.velocity, seconds)
-            map_T_camera = before.map_T_camera.compose(prev_T_cur)
-            followed = self._map.followed(state, points)
-            pixels, found = self._search(
-                frame, state, prev_T_cur, map_T_camera, prediction.pixels, ellipses, followed, visible
-            )
+            pixels, found = self._search(frame, before, prediction, visible, ellipses, points)
 
         with self._stopwatch.stage("filter"):
             # Low-innovation inliers update the state first, so that high-innovation inliers differ from outliers.
             slack = self.settings.linearisation_slack
-            inliers, votes = low_innovation_inliers(
-                state, prediction, pixels, found, seconds, self.camera, sigma, slack, self._rng
-            )
+            inliers, votes = low_innovation_inliers(prediction, pixels, found, slack, self._rng)
             rescued = np.zeros(len(found), bool)
             lost = bool(votes < self.settings.min_matches or inliers.sum() < self.settings.min_share * found.sum())
             if not lost:
-                state, updated = update(state, prediction, inliers, pixels, seconds, self.camera, sigma)
-                rescued = self._agree(state, updated, pixels, found & ~inliers)
-                state, _ = update(state, updated, rescued, pixels, seconds, self.camera, sigma)
+                updated = update(prediction, inliers, pixels)
+                rescued = _agree(updated, pixels, found & ~inliers)
+                state = update(updated, rescued, pixels).state
 
             # Step into the new camera.
             prev_T_cur, _ = motion_from_velocity(state.velocity, seconds)
@@ -223,32 +216,27 @@ class VSlam:
     def _search(
         self,
         frame: Frame,
-        state: State,
-        prev_T_cur: gtsam.Pose3,
-        map_T_camera: gtsam.Pose3,
-        expected: Array,
-        ellipses: Array,
-        followed: Array,
+        before: Remembered,
+        prediction: Prediction,
         visible: NDArray[np.bool_],
+        ellipses: Array,
+        points: KnownPoints | None,
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels (N, 2) of all landmarks, and which were found (N,)."""
-        pixels, found = expected.copy(), np.zeros(len(expected), bool)
+        pixels, found = prediction.pixels.copy(), np.zeros(len(visible), bool)
         if frame.image is not None and visible.any():
-            points = (state.positions[visible] - prev_T_cur.translation()) @ prev_T_cur.rotation().matrix()
+            state = prediction.state
+            prev_T_cur, _ = motion_from_velocity(state.velocity, prediction.model.seconds)
             search = Search(
-                state.ids[visible], expected[visible], ellipses[visible], followed[visible], points, map_T_camera
+                ids=state.ids[visible],
+                pixels=prediction.pixels[visible],
+                covariances=ellipses[visible],
+                followed=self._map.followed(state, points)[visible],
+                points=(state.positions[visible] - prev_T_cur.translation()) @ prev_T_cur.rotation().matrix(),
+                map_T_camera=before.map_T_camera.compose(prev_T_cur),
             )
             pixels[visible], found[visible] = self.finder.find(frame, search)
         return pixels, found
-
-    def _agree(self, state: State, prediction: Prediction, pixels: Array, rest: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of the rest (N,) lie within what the updated state predicts."""
-        agree = rest & prediction.in_front
-        innovation = (pixels - prediction.pixels)[agree]
-        S = prediction.innovation_covariances(state, agree, self.settings.pixel_sigma)
-        distance = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(axis=1)
-        agree[agree] = distance < PIXEL_GATE
-        return agree
 
     def _judge(self, frame: Frame, lost: bool) -> tuple[Status, bool]:
         """A bad image is passed over; after some that do not fit the map, it is given up for one that has texture.
@@ -320,3 +308,13 @@ class VSlam:
             scale_sigma=math.sqrt(state.covariance[SCALE, SCALE]),
             times=self._stopwatch.times,
         )
+
+
+def _agree(prediction: Prediction, pixels: Array, rest: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of the rest (N,) lie within what the updated state predicts."""
+    agree = rest & prediction.in_front
+    innovation = (pixels - prediction.pixels)[agree]
+    S = prediction.innovation_covariances(agree)
+    distance = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(axis=1)
+    agree[agree] = distance < PIXEL_GATE
+    return agree

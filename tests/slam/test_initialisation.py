@@ -7,7 +7,7 @@ import pytest
 
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.slam.initialisation import depths_from_map, equal_depths, known_depths, with_new_landmarks
-from fvslam_graph.slam.measurement import predict_pixels
+from fvslam_graph.slam.measurement import PixelModel, predict_pixels
 from fvslam_graph.slam.state import SCALE
 
 from .conftest import agrees, numeric
@@ -26,12 +26,12 @@ def test_a_new_landmark_is_where_it_is_seen(random_state, camera):
     grown = with_new_landmarks(state, IDS, PIXELS, prior, camera, 0.5)
     grown.check()
     new = np.isin(grown.ids, IDS)
-    prediction = predict_pixels(grown, 0.1, camera)
+    prediction = predict_pixels(grown, PixelModel(camera, 0.1, 0.5))
     assert prediction.pixels[new] == pytest.approx(PIXELS)
     assert np.linalg.norm(grown.positions[new], axis=1) == pytest.approx([8.0] * 3)
     # Seen again at once, it is as uncertain as the first pixel and the second.
     velocity_known = replace(grown, covariance=grown.covariance * _without_velocity(grown))
-    spread = predict_pixels(velocity_known, 0.1, camera).innovation_covariances(velocity_known, new, 0.5)
+    spread = predict_pixels(velocity_known, PixelModel(camera, 0.1, 0.5)).innovation_covariances(new)
     assert spread == pytest.approx(np.tile(0.5 * np.eye(2), (3, 1, 1)), rel=1e-6, abs=1e-9)
     assert grown.positions[~new] == pytest.approx(state.positions)
     nothing = np.zeros(len(grown.inverse_depth), bool)

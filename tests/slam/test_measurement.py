@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvslam_graph.slam.measurement import predict_pixels, update
+from fvslam_graph.slam.measurement import PixelModel, predict_pixels, update
 from fvslam_graph.slam.motion import motion_from_velocity
 from fvslam_graph.slam.state import POSE, SCALE
 
@@ -19,11 +19,13 @@ SIGMA = 0.5  # pixels
 def test_derivative_of_pixels(random_state, camera, seed):
     """In both parametrisations, by velocity and landmark; pose and scale do not show in an image."""
     state = random_state(seed)
-    prediction = predict_pixels(state, SECONDS, camera)
+    prediction = predict_pixels(state, PixelModel(camera, SECONDS, SIGMA))
     analytic = prediction.jacobian(np.ones(len(state), bool)).toarray()
     step = 1e-7
     numerical = numeric(
-        lambda e: predict_pixels(state.retract(e), SECONDS, camera).pixels.ravel(), len(state.covariance), step
+        lambda e: predict_pixels(state.retract(e), PixelModel(camera, SECONDS, SIGMA)).pixels.ravel(),
+        len(state.covariance),
+        step,
     )
     scale = np.abs(numerical).max(axis=1, keepdims=True)
     assert np.abs((analytic - numerical) / scale).max() < 1e-6
@@ -35,14 +37,14 @@ def test_pixels_are_the_camera_s(random_state, camera):
     state = random_state(0)
     prev_T_cur, _ = motion_from_velocity(state.velocity, SECONDS)
     seen = prev_T_cur.transformTo(state.positions.T).T
-    prediction = predict_pixels(state, SECONDS, camera)
+    prediction = predict_pixels(state, PixelModel(camera, SECONDS, SIGMA))
     assert prediction.pixels == pytest.approx(camera.project(seen))
 
 
 def test_landmarks_behind_the_camera_are_told(random_state, camera):
     state = random_state(0)
     turned = replace(state, velocity=np.array([0, np.pi / SECONDS, 0, 0, 0, 0]))
-    prediction = predict_pixels(turned, SECONDS, camera)
+    prediction = predict_pixels(turned, PixelModel(camera, SECONDS, SIGMA))
     assert not prediction.in_front.any()
     assert np.isfinite(prediction.pixels).all()
 
@@ -51,10 +53,10 @@ def test_update_is_that_of_a_dense_filter(random_state, camera):
     """Joseph's form with the dense Jacobian; noise is large, so that one iteration is enough."""
     state = random_state(4, sigma=1e-4)
     chosen = np.arange(len(state)) % 3 > 0
-    prediction = predict_pixels(state, SECONDS, camera)
+    prediction = predict_pixels(state, PixelModel(camera, SECONDS, SIGMA))
     rng = np.random.default_rng(0)
     pixels = prediction.pixels + 0.01 * rng.standard_normal((len(state), 2))
-    updated, _ = update(state, prediction, chosen, pixels, SECONDS, camera, SIGMA)
+    updated = update(prediction, chosen, pixels).state
     updated.check()
 
     H, P = prediction.jacobian(chosen).toarray(), state.covariance
@@ -72,27 +74,26 @@ def test_exact_pixels_lead_to_where_they_are_exact(random_state, camera):
     error = np.linalg.cholesky(state.covariance + 1e-12 * np.eye(len(state.covariance))) @ np.random.default_rng(
         1
     ).standard_normal(len(state.covariance))
-    pixels = predict_pixels(state.retract(error), SECONDS, camera).pixels
+    pixels = predict_pixels(state.retract(error), PixelModel(camera, SECONDS, SIGMA)).pixels
     everything = np.ones(len(state), bool)
-    before = predict_pixels(state, SECONDS, camera)
+    before = predict_pixels(state, PixelModel(camera, SECONDS, 1e-4))
     assert np.abs(before.pixels - pixels).max() > 1.0
-    updated, after = update(state, before, everything, pixels, SECONDS, camera, 1e-4)
+    after = update(before, everything, pixels)
     assert np.abs(after.pixels - pixels).max() < 1e-2
-    updated.check()
+    after.state.check()
 
 
 def test_without_matches_nothing_changes(random_state, camera):
     state = random_state(0)
-    prediction = predict_pixels(state, SECONDS, camera)
-    same, _ = update(state, prediction, np.zeros(len(state), bool), prediction.pixels, SECONDS, camera, SIGMA)
-    assert same is state
+    prediction = predict_pixels(state, PixelModel(camera, SECONDS, SIGMA))
+    assert update(prediction, np.zeros(len(state), bool), prediction.pixels).state is state
 
 
 def test_innovation_covariances(random_state, camera):
     state = random_state(6)
-    prediction = predict_pixels(state, SECONDS, camera)
+    prediction = predict_pixels(state, PixelModel(camera, SECONDS, SIGMA))
     chosen = np.arange(len(state)) % 2 == 0
     H = prediction.jacobian(chosen).toarray()
     whole = H @ state.covariance @ H.T + SIGMA**2 * np.eye(len(H))
     expected = [whole[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(chosen.sum())]
-    assert prediction.innovation_covariances(state, chosen, SIGMA) == pytest.approx(np.array(expected))
+    assert prediction.innovation_covariances(chosen) == pytest.approx(np.array(expected))
