@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import variances_along
+from fvslam_graph.vo.epipolar import MatchedRays
 
 PIXEL_NOISE = 0.3  # pixels, of a displacement along each axis, where no motion has told it
 GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
@@ -16,14 +17,11 @@ UNKNOWN_DEPTH = 10.0  # and at how far away things are for one whose height is u
 
 def triangulate(
     ids: NDArray[np.int64],
-    previous: NDArray[np.float64],
-    current: NDArray[np.float64],
+    matched: MatchedRays,
     rotation: gtsam.Rot3,
     baseline: NDArray[np.float64],
-    focal: float,
     noise: float = PIXEL_NOISE,
     covariance: NDArray[np.float64] | None = None,
-    covariances: NDArray[np.float64] | None = None,
 ) -> InverseDepths:
     """Inverse depths in the previous camera of points seen in two views; they may come out negative.
 
@@ -32,15 +30,14 @@ def triangulate(
 
     Args:
         ids: (N,) of the tracks.
-        previous, current: (N, 3) rays, z = 1.
+        matched: (N,) their rays in both views.
         rotation: prev_R_cur.
         baseline: (3,) from the previous camera to the current one, in the previous; its length is the unit of depth.
-        focal: Pixels.
         noise: Pixels, standard deviation of a track's displacement along each axis.
         covariance: (5, 5) of rotation and direction, as in RelativePose; without it, they are exact.
-        covariances: (N, 2, 2) of the displacements, as in Tracks; without them, all are those of corners.
     """
-    rotated = current @ rotation.matrix().T
+    previous, focal, covariances = matched.previous, matched.focal, matched.covariances
+    rotated = matched.current @ rotation.matrix().T
     across = rotated @ gtsam.SO3.Hat(baseline)  # rotated x baseline
     square, along = np.maximum((across**2).sum(axis=1), 1e-18), (rotated * previous).sum(axis=1)
     values = ((rotated**2).sum(axis=1) * (previous @ baseline) - along * (rotated @ baseline)) / square

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.sequence import MAX_RESIDUAL_K1, Sequence
 from fvslam_graph.core.tracks import Tracks
-from fvslam_graph.vo.epipolar import calibration_jacobian, epipolar_distance, rays
+from fvslam_graph.vo.epipolar import MatchedRays, calibration_jacobian, epipolar_distance
 from fvslam_graph.vo.odometry import VisualOdometry
 
 Array = NDArray[np.float64]
@@ -42,13 +44,13 @@ class RadialDistortion:
             tracks: N points in both.
             keyframe_T_cur: The motion that explains them best without distortion; its length does not matter.
         """
-        keyframe, current = rays(self._camera, tracks.keyframe), rays(self._camera, tracks.current)
+        matched = replace(MatchedRays.of(self._camera, tracks), covariances=None)
         rotation, direction = (
             keyframe_T_cur.rotation(),
             keyframe_T_cur.translation() / np.linalg.norm(keyframe_T_cur.translation()),
         )
-        distance, J_motion = epipolar_distance(keyframe, current, rotation, direction, self._camera.fx)
-        J_k1 = calibration_jacobian(keyframe, current, rotation, direction, self._camera.fx)[:, 1]
+        distance, J_motion = epipolar_distance(matched, rotation, direction)
+        J_k1 = calibration_jacobian(matched, rotation, direction)[:, 1]
         square = (distance / LOSS_SCALE) ** 2
         curvature = (1 - square) / (1 + square) ** 2
         weighted = curvature[:, None] * J_motion

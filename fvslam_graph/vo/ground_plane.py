@@ -18,8 +18,8 @@ from fvslam_graph.core.camera import Camera, Image
 from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.vo.depth import triangulate
-from fvslam_graph.vo.epipolar import epipolar_distance, rays
-from fvslam_graph.vo.relative_pose import RelativePose
+from fvslam_graph.vo.epipolar import MatchedRays, epipolar_distance, rays
+from fvslam_graph.vo.relative_pose import TwoViews
 
 _PATCH_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
 _PATCH_WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car
@@ -66,53 +66,36 @@ class GroundAligner:
         self._rays = rays(camera, self._grid.astype(float))
         self._next = 0  # of the ratios, where what is expected leads nowhere
 
-    def measure(
-        self,
-        previous: Image,
-        current: Image,
-        relative_pose: RelativePose,
-        ray: NDArray[np.float64],
-        depths: InverseDepths,
-        expected: float | None,
-        rng: np.random.Generator,
-    ) -> GroundPlane | None:
+    def measure(self, views: TwoViews, expected: float | None, rng: np.random.Generator) -> GroundPlane | None:
         """The ground between two images; None where too few patches agree on one.
 
         Args:
-            previous, current: (H, W) uint8.
-            relative_pose: Their relative pose.
-            ray: (N, 3) of tracks in the previous image; where nothing is expected, they give the first guess.
-            depths: (N,) of these tracks, in baselines.
+            views: With both images; where nothing is expected, tracks give the first guess.
             expected: Baseline per height, dimensionless; only steers the search. Where it leads to no ground, tracks
                 do, or one of a range of ratios, the next one at each call: what is expected may be wrong for good.
                 Without it, and without tracks, the whole range is tried and the ground with most patches is taken.
             rng: For the hypotheses.
         """
         likely = None if expected is None else expected * self.normal
-        if likely is not None and (ground := self._measure_near(previous, current, relative_pose, likely, rng)):
+        if likely is not None and (ground := self._measure_near(views, likely, rng)):
             return ground
-        seen = self._sees_ground(ray)
+        seen = self._sees_ground(views.rays)
         if seen.sum() >= MIN_TRACKS:
-            guess = self._hypothesise(ray[seen], depths[seen], rng)
-            if ground := self._measure_near(previous, current, relative_pose, guess, rng):
+            guess = self._hypothesise(views.rays[seen], views.depths[seen], rng)
+            if ground := self._measure_near(views, guess, rng):
                 return ground
         ratios = _RATIOS
         if expected is not None:
             self._next = (self._next + STRIDE) % len(_RATIOS)
             ratios = _RATIOS[[self._next]]
-        tried = [self._measure_near(previous, current, relative_pose, ratio * self.normal, rng) for ratio in ratios]
+        tried = [self._measure_near(views, ratio * self.normal, rng) for ratio in ratios]
         return max(filter(None, tried), key=lambda ground: ground.patches, default=None)
 
     def _measure_near(
-        self,
-        previous: Image,
-        current: Image,
-        relative_pose: RelativePose,
-        plane: NDArray[np.float64],
-        rng: np.random.Generator,
+        self, views: TwoViews, plane: NDArray[np.float64], rng: np.random.Generator
     ) -> GroundPlane | None:
         """The ground, if it is near enough to `plane` for its patches to be found."""
-        patches = self._align(previous, current, relative_pose, plane)
+        patches = self._align(views, plane)
         return None if patches is None else self._refine(*patches, self._hypothesise(*patches, rng))
 
     def _sees_ground(self, ray: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -136,19 +119,14 @@ class GroundAligner:
         grid: NDArray[np.float32] = dense[seen & (dense[:, 0] % step == 0) & (dense[:, 1] % step == 0)]
         return grid
 
-    def _align(
-        self,
-        previous: Image,
-        current: Image,
-        relative_pose: RelativePose,
-        plane: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], InverseDepths] | None:
+    def _align(self, views: TwoViews, plane: NDArray[np.float64]) -> tuple[NDArray[np.float64], InverseDepths] | None:
         """Rays (N, 3) of ground patches and their inverse depths, found near where `plane` predicts them.
 
         The current image is warped to the previous view by the predicted plane, so that what is left to align is small
         and free of perspective: a patch of road changes its size by a quarter between two frames.
         """
-        if len(self._grid) < self.settings.min_patches:
+        previous, current, relative_pose = views.previous.image, views.current.image, views.relative_pose
+        if len(self._grid) < self.settings.min_patches or previous is None or current is None:
             return None
         camera, K = self.camera, self.camera.K
         rotation, direction = relative_pose.rotation, relative_pose.direction
@@ -167,14 +145,13 @@ class GroundAligner:
         good &= np.linalg.norm(found - start, axis=1) < _SEARCH
         in_current = np.column_stack([found[good] + offset, np.ones(good.sum())]) @ homography.T
         ray, ray_current = self._rays[good], rays(camera, in_current[:, :2] / in_current[:, 2:])
-        epipolar, _ = epipolar_distance(ray, ray_current, rotation, direction, camera.fx)
+        epipolar, _ = epipolar_distance(MatchedRays(ray, ray_current, camera.fx), rotation, direction)
         kept = np.abs(epipolar) < 2**0.5
         if kept.sum() < self.settings.min_patches:
             return None
         ids = np.flatnonzero(good)[kept].astype(np.int64)
-        depths = triangulate(
-            ids, ray[kept], ray_current[kept], rotation, direction, camera.fx, covariance=relative_pose.covariance
-        )
+        matched = MatchedRays(ray[kept], ray_current[kept], camera.fx)
+        depths = triangulate(ids, matched, rotation, direction, covariance=relative_pose.covariance)
         return ray[kept], depths
 
     def _hypothesise(

@@ -26,13 +26,13 @@ from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
 from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose
 from fvslam_graph.vo.depth import triangulate, typical_depth
-from fvslam_graph.vo.epipolar import rays
+from fvslam_graph.vo.epipolar import MatchedRays, rays
 from fvslam_graph.vo.ground_plane import GroundAligner
 from fvslam_graph.vo.lost_keyframes import LostKeyframe, LostKeyframes
 from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.plausibility import MotionGate
-from fvslam_graph.vo.relative_pose import estimate_relative_pose
+from fvslam_graph.vo.relative_pose import TwoViews, estimate_relative_pose
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import MetricScale
 
@@ -249,16 +249,8 @@ class VisualOdometry:
             fallback = self._motion_model.distance(frame.stamp - self._keyframe.stamp)
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = self._guess(unit)
-            scale, known = self._scale.estimate(
-                self._keyframe,
-                frame,
-                relative_pose,
-                rays(self.camera, tracks.keyframe),
-                unit,
-                self._map,
-                fallback,
-                self._rng,
-            )
+            views = TwoViews(self._keyframe, frame, relative_pose, rays(self.camera, tracks.keyframe), unit)
+            scale, known = self._scale.estimate(views, self._map, fallback, self._rng)
         J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
         return _Motion(metric_pose(relative_pose, scale.length), tracks, known, scale, J_calibration=J_calibration)
 
@@ -295,11 +287,8 @@ class VisualOdometry:
         self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
     ) -> InverseDepths:
         """Inverse depths of tracks by a motion, with the covariance of its rotation and direction."""
-        keyframe, current = rays(self.camera, tracks.keyframe), rays(self.camera, tracks.current)
-        rotation, baseline, focal = keyframe_T_cur.rotation(), keyframe_T_cur.translation(), self.camera.fx
-        return triangulate(
-            tracks.ids, keyframe, current, rotation, baseline, focal, noise, covariance, tracks.covariances
-        )
+        matched, motion = MatchedRays.of(self.camera, tracks), keyframe_T_cur
+        return triangulate(tracks.ids, matched, motion.rotation(), motion.translation(), noise, covariance)
 
     def _rotation_only(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion:
         """Rotation alone; both it and the translation are as uncertain as the parallax that may hide in it."""

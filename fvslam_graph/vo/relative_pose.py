@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.depth import triangulate
-from fvslam_graph.vo.epipolar import Rays, calibration_jacobian, epipolar_distance, rays
+from fvslam_graph.vo.epipolar import MatchedRays, Rays, calibration_jacobian, epipolar_distance
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 
 KERNEL = 2.0  # deviations beyond which a match counts for less (Cauchy)
@@ -54,6 +55,24 @@ class RelativePose:
     inliers: NDArray[np.bool_]
     noise: float
     J_calibration: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TwoViews:
+    """Two frames with what was measured between them.
+
+    Attributes:
+        previous, current: The frames.
+        relative_pose: Up to the length of the baseline.
+        rays: (N, 3) of tracks in the previous frame.
+        depths: (N,) of these tracks, in baselines.
+    """
+
+    previous: Frame
+    current: Frame
+    relative_pose: RelativePose
+    rays: Rays
+    depths: InverseDepths
 
 
 def estimate_relative_pose(
@@ -94,7 +113,7 @@ def estimate_relative_pose(
     some = tracks[a_sample(len(tracks))]
     pose, _ = poselib.estimate_relative_pose(some.keyframe, some.current, model, model, ransac, bundle)
     found = gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
-    matches = _Matches(tracks, rays(camera, tracks.keyframe), rays(camera, tracks.current), camera.fx, known)
+    matches = _Matches(tracks, MatchedRays.of(camera, tracks), known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
     starts = [(start, WIDTHS) for start in expected] + [(found, WIDTHS[FOUND:])]
     fits: list[_Fit] = []
@@ -115,32 +134,18 @@ def estimate_relative_pose(
     if covariance is None:
         return None
     weighted = best.jacobian[told] / (1 + (best.distance[told, None] / (KERNEL * best.noise)) ** 2)
-    pull = weighted.T @ matches.J_calibration(best.rotation, best.direction)[told]
+    pull = weighted.T @ calibration_jacobian(matches.rays, best.rotation, best.direction)[told]
     J_calibration = -np.linalg.inv(weighted.T @ best.jacobian[told]) @ pull
     return RelativePose(best.rotation, best.direction, covariance, inliers, best.noise, J_calibration)
 
 
 @dataclass(frozen=True)
 class _Matches:
-    """N tracks, their rays (N, 3) in both views, and known depths of some in the previous one."""
+    """N tracks, their rays in both views, and known depths of some in the previous one."""
 
     tracks: Tracks
-    previous: Rays
-    current: Rays
-    focal: float
+    rays: MatchedRays
     known: InverseDepths | None
-
-    def distance(
-        self, rotation: gtsam.Rot3, direction: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Distances of the current points from their epipolar lines, and their Jacobian."""
-        return epipolar_distance(self.previous, self.current, rotation, direction, self.focal, self.tracks.covariances)
-
-    def J_calibration(self, rotation: gtsam.Rot3, direction: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How these distances change with the calibration."""
-        return calibration_jacobian(
-            self.previous, self.current, rotation, direction, self.focal, self.tracks.covariances
-        )
 
     @cached_property
     def _corners(self) -> NDArray[np.bool_]:
@@ -162,14 +167,14 @@ class _Matches:
 
         A wrong match on the other side of the epipole lies on its line by chance, and has a long lever there.
         """
-        endless = self.previous @ rotation.matrix()
+        endless = self.rays.previous @ rotation.matrix()
         endless = endless[:, :2] / np.maximum(endless[:, 2:], 1e-3)  # where a point would be at any distance
         step = rotation.unrotate(direction)
         nearer = endless * step[2] - step[:2]  # whereto it goes if it is nearer
-        moved = ((self.current[:, :2] - endless) * nearer).sum(axis=1) / np.maximum(
+        moved = ((self.rays.current[:, :2] - endless) * nearer).sum(axis=1) / np.maximum(
             np.linalg.norm(nearer, axis=1), 1e-9
         )
-        return np.asarray(self.focal * moved > -limit)
+        return np.asarray(self.rays.focal * moved > -limit)
 
 
 @dataclass(frozen=True)
@@ -194,16 +199,7 @@ class _Fit:
         if matches.known is None:
             return cost
         tracks, known = matches.tracks, matches.known
-        depths = triangulate(
-            tracks.ids,
-            matches.previous,
-            matches.current,
-            self.rotation,
-            self.direction,
-            matches.focal,
-            noise,
-            covariances=tracks.covariances,
-        )
+        depths = triangulate(tracks.ids, matches.rays, self.rotation, self.direction, noise)
         mine, theirs = depths.match(known.ids)
         values, variance = depths.values[mine], depths.sigmas[mine] ** 2
         expected, doubt = known.values[theirs], known.total_sigmas[theirs] ** 2
@@ -232,7 +228,7 @@ def _refine(
     for width in widths:
         if any(fit.is_at(rotation, direction) for fit in known):
             return None
-        distance, jacobian = matches.distance(rotation, direction)
+        distance, jacobian = epipolar_distance(matches.rays, rotation, direction)
         noise = width * matches.noise(distance, limit)
         agree = np.abs(distance) < min(width * limit, CLEARLY * noise)
         if width == 1:
@@ -249,7 +245,7 @@ def _refine(
         direction = gtsam.Unit3(direction).retract(step[3:]).point3()
         if width == 1 and length < CONVERGED_STEP:
             break
-    distance, jacobian = matches.distance(rotation, direction)
+    distance, jacobian = epipolar_distance(matches.rays, rotation, direction)
     return _Fit(rotation, direction, distance, jacobian, matches.noise(distance, limit))
 
 

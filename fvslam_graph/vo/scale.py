@@ -6,16 +6,14 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fvslam_graph.core.config import ScaleSettings, ScaleSource
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
-from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.vo_estimate import ScaleStep
 from fvslam_graph.vo.ground_plane import GroundAligner
-from fvslam_graph.vo.relative_pose import RelativePose
+from fvslam_graph.vo.relative_pose import TwoViews
 from fvslam_graph.vo.scale_filter import ScaleFilter
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
@@ -48,15 +46,7 @@ class MetricScale:
         self._filter = ScaleFilter(settings)
 
     def estimate(
-        self,
-        previous: Frame,
-        current: Frame,
-        relative_pose: RelativePose,
-        rays: NDArray[np.float64],
-        unit: InverseDepths,
-        known: MetricMap,
-        fallback: LogScale,
-        rng: np.random.Generator,
+        self, views: TwoViews, known: MetricMap, fallback: LogScale, rng: np.random.Generator
     ) -> tuple[ScaleStep, MetricMap]:
         """Scale of the baseline between two frames, and the map with this scale.
 
@@ -64,10 +54,7 @@ class MetricScale:
         frames. What is learnt holds for the whole map, as all its depths share one scale.
 
         Args:
-            previous, current: The two frames.
-            relative_pose: Their relative pose.
-            rays: (N, 3) of the tracks in the previous frame.
-            unit: (N,) depths of these tracks in baselines.
+            views: The two frames.
             known: The map in the previous frame.
             fallback: Prediction where the map has too few points in common.
             rng: For the ground plane's hypotheses.
@@ -75,7 +62,7 @@ class MetricScale:
         Returns:
             The scale and how it came about; and the map in the previous frame, rescaled and with the new depths.
         """
-        ratio = self._ratio(unit, known.depths)
+        ratio = self._ratio(views.depths, known.depths)
         predicted = fallback if ratio is None else LogScale(ratio.mean, ratio.variance + known.variance)
         if ratio is None:
             self._filter.forget()
@@ -85,16 +72,16 @@ class MetricScale:
             step = ScaleStep(scale, predicted=scale)
         elif self.settings.source is ScaleSource.ORACLE:
             assert self._true_baseline is not None
-            baseline = self._true_baseline(previous.index, current.index)
+            baseline = self._true_baseline(views.previous.index, views.current.index)
             measured = LogScale(math.log(baseline), ORACLE_VARIANCE) if baseline > 0 else None
             scale = measured or predicted
             step = ScaleStep(scale, transition, measured)
         else:
-            plane = self._from_plane(previous, current, relative_pose, rays, unit, predicted, rng)
+            plane = self._from_plane(views, predicted, rng)
             scale = self._filter.update(predicted, plane)
             step = ScaleStep(scale, transition, plane, self._filter.bias_variance, self._filter.bias_decay)
         old = known.depths if ratio is None else known.depths.scaled(scale.metres / predicted.metres)
-        new = unit.scaled(scale.metres)
+        new = views.depths.scaled(scale.metres)
         return step, MetricMap(old.fused(new[new.values > 0]), scale.variance)
 
     def _ratio(self, unit: InverseDepths, known: InverseDepths) -> LogScale | None:
@@ -114,22 +101,13 @@ class MetricScale:
         spread = float((weight**2 * (log_ratio - mean) ** 2).sum() / weight.sum() ** 2)
         return LogScale(mean, spread + self.settings.map_sigma**2)
 
-    def _from_plane(
-        self,
-        previous: Frame,
-        current: Frame,
-        relative_pose: RelativePose,
-        rays: NDArray[np.float64],
-        unit: InverseDepths,
-        predicted: LogScale,
-        rng: np.random.Generator,
-    ) -> LogScale | None:
+    def _from_plane(self, views: TwoViews, predicted: LogScale, rng: np.random.Generator) -> LogScale | None:
         """The scale by one view of the ground, with a variance without the bias that neighbouring views share."""
-        height = previous.height
-        if self._aligner is None or previous.image is None or current.image is None or not height > 0:
+        previous, height = views.previous, views.previous.height
+        if self._aligner is None or previous.image is None or views.current.image is None or not height > 0:
             return None
         expected = predicted.metres / height if predicted.variance < UNINFORMATIVE_VARIANCE else None
-        ground = self._aligner.measure(previous.image, current.image, relative_pose, rays, unit, expected, rng)
+        ground = self._aligner.measure(views, expected, rng)
         if ground is None:
             return None
         variance = ground.log_variance + self.settings.plane_sigma**2 + (previous.height_sigma / height) ** 2

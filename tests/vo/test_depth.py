@@ -6,7 +6,7 @@ import pytest
 
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.vo.depth import PIXEL_NOISE, triangulate
-from fvslam_graph.vo.epipolar import rays
+from fvslam_graph.vo.epipolar import MatchedRays, rays
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.6, -0.2, 0.5]))
 
@@ -16,11 +16,9 @@ def from_scene(camera, scene, motion=MOTION, current=None, covariance=None) -> I
     current = tracks.current if current is None else current
     return triangulate(
         tracks.ids,
-        rays(camera, tracks.keyframe),
-        rays(camera, current),
+        MatchedRays(rays(camera, tracks.keyframe), rays(camera, current), camera.fx),
         motion.rotation(),
         motion.translation(),
-        camera.fx,
         covariance=covariance,
     )
 
@@ -74,13 +72,13 @@ def test_shared_errors_by_finite_differences(camera, two_views):
 def test_parallax_the_wrong_way_is_a_negative_depth(camera):
     sideways, ahead = np.array([1.0, 0.0, 0.0]), np.array([[0.0, 0.0, 1.0]] * 2)
     moved = np.array([[-0.1, 0.0, 1.0], [0.1, 0.0, 1.0]])
-    depths = triangulate(np.arange(2), ahead, moved, gtsam.Rot3(), sideways, camera.fx)
+    depths = triangulate(np.arange(2), MatchedRays(ahead, moved, camera.fx), gtsam.Rot3(), sideways)
     assert depths.values == pytest.approx([0.1, -0.1])
 
 
 def test_no_depth_along_the_direction_of_travel(camera):
     ahead, forward = np.array([[0.0, 0.0, 1.0]]), np.array([0.0, 0.0, 1.0])
-    depths = triangulate(np.arange(1), ahead, ahead, gtsam.Rot3(), forward, camera.fx)
+    depths = triangulate(np.arange(1), MatchedRays(ahead, ahead, camera.fx), gtsam.Rot3(), forward)
     assert np.isfinite(depths.values).all() and depths.sigmas[0] > 1e3
 
 

@@ -9,9 +9,10 @@ import pytest
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.sequence import Frame
 from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground_plane import GroundAligner, GroundPlane
-from fvslam_graph.vo.relative_pose import RelativePose
+from fvslam_graph.vo.relative_pose import RelativePose, TwoViews
 
 
 class View(NamedTuple):
@@ -64,6 +65,11 @@ DOWNWARD = View(
 VIEWS = pytest.mark.parametrize("view", [FORWARD, DOWNWARD], ids=["forward", "downward"])
 
 
+def two_views(images, view: View, ray: np.ndarray, depths: InverseDepths) -> TwoViews:
+    frames = (Frame(index, 0.1 * index, image) for index, image in enumerate(images))
+    return TwoViews(*frames, view.relative_pose, ray, depths)
+
+
 def tracks_on(view: View, normal: np.ndarray, seed: int = 0) -> tuple[np.ndarray, InverseDepths]:
     """Rays (N, 3) and depths in baselines of points on the ground."""
     rng = np.random.default_rng(seed)
@@ -77,7 +83,7 @@ def measure(view: View, images, normal: np.ndarray, off: float | None = 1.05) ->
     """With an expectation that is `off` by a factor; with the help of tracks where that is None."""
     ray, depths = tracks_on(view, normal) if off is None else (np.empty((0, 3)), InverseDepths.none())
     expected = None if off is None else off * view.baseline_per_height
-    return view.aligner().measure(*images, view.relative_pose, ray, depths, expected, np.random.default_rng(0))
+    return view.aligner().measure(two_views(images, view, ray, depths), expected, np.random.default_rng(0))
 
 
 def log_error(view: View, plane: GroundPlane) -> float:
@@ -88,7 +94,7 @@ def log_error(view: View, plane: GroundPlane) -> float:
 def test_without_any_expectation_a_range_of_scales_is_tried(plane_views, view):
     images = plane_views(view.camera, view.motion, (view.nominal, view.height), 0)
     nothing = np.empty((0, 3)), InverseDepths.none()
-    ground = view.aligner().measure(*images, view.relative_pose, *nothing, None, np.random.default_rng(0))
+    ground = view.aligner().measure(two_views(images, view, *nothing), None, np.random.default_rng(0))
     assert abs(log_error(view, ground)) < 0.01
     assert ground.patches > 200
 
@@ -157,10 +163,10 @@ def test_a_wrong_expectation_does_not_hide_the_ground_for_good(plane_views, view
     ray, depths = tracks_on(view, view.nominal)
     expected = off * view.baseline_per_height
     rng, aligner = np.random.default_rng(0), view.aligner()
-    at_once = aligner.measure(*images, view.relative_pose, ray, depths, expected, rng)
+    at_once = aligner.measure(two_views(images, view, ray, depths), expected, rng)
     assert abs(log_error(view, at_once)) < 0.02
     none = np.empty((0, 3)), InverseDepths.none()
-    later = [aligner.measure(*images, view.relative_pose, *none, expected, rng) for _ in range(16)]
+    later = [aligner.measure(two_views(images, view, *none), expected, rng) for _ in range(16)]
     found = [ground for ground in later if ground is not None]
     assert found and all(abs(log_error(view, ground)) < 0.04 for ground in found)
 

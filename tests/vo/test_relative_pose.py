@@ -11,7 +11,7 @@ from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
-from fvslam_graph.vo.epipolar import epipolar_distance, rays
+from fvslam_graph.vo.epipolar import MatchedRays, epipolar_distance, rays
 from fvslam_graph.vo.relative_pose import estimate_relative_pose
 
 from .conftest import recalibrated
@@ -52,13 +52,13 @@ def test_epipolar_distance_is_that_of_the_textbook(camera, two_views, motion):
     previous, current = np.hstack([tracks.keyframe, ones]), np.hstack([tracks.current, ones])
     line = previous @ F
     expected = (current * line).sum(axis=1) / np.linalg.norm(line[:, :2], axis=1)
-    seen = rays(camera, tracks.keyframe), rays(camera, tracks.current)
-    distance, _ = epipolar_distance(*seen, motion.rotation(), t, camera.fx)
+    seen = MatchedRays(rays(camera, tracks.keyframe), rays(camera, tracks.current), camera.fx)
+    distance, _ = epipolar_distance(seen, motion.rotation(), t)
     assert np.abs(distance) == pytest.approx(np.abs(expected), rel=1e-9, abs=1e-9)
     assert 1.0 < distance.std() < 5.0
     # Half of a displacement that is four times as uncertain along x is seen in lines across it, none in those along it.
     stretched = np.tile(np.diag([4.0, 1.0]), (len(tracks), 1, 1))
-    shorter, _ = epipolar_distance(*seen, motion.rotation(), t, camera.fx, stretched)
+    shorter, _ = epipolar_distance(replace(seen, covariances=stretched), motion.rotation(), t)
     across = line[:, :2] / np.linalg.norm(line[:, :2], axis=1, keepdims=True)
     assert shorter * np.sqrt(1 + 3 * across[:, 0] ** 2) == pytest.approx(distance)
 
@@ -67,14 +67,14 @@ def test_epipolar_distance_is_that_of_the_textbook(camera, two_views, motion):
 def test_epipolar_jacobian_by_finite_differences(camera, two_views, motion):
     """Also far from the line, where a Jacobian that takes the line's normal as given is wrong."""
     tracks = two_views(motion, noise=5.0).tracks
-    previous, current = rays(camera, tracks.keyframe), rays(camera, tracks.current)
+    seen = MatchedRays(rays(camera, tracks.keyframe), rays(camera, tracks.current), camera.fx)
 
     def distances(step: np.ndarray) -> np.ndarray:
         moved = essential(motion).retract(step)
-        return epipolar_distance(previous, current, moved.rotation(), moved.direction().point3(), camera.fx)[0]
+        return epipolar_distance(seen, moved.rotation(), moved.direction().point3())[0]
 
     direction = essential(motion).direction().point3()
-    _, jacobian = epipolar_distance(previous, current, motion.rotation(), direction, camera.fx)
+    _, jacobian = epipolar_distance(seen, motion.rotation(), direction)
     step = 1e-6
     numeric = np.column_stack([(distances(step * e) - distances(-step * e)) / (2 * step) for e in np.eye(5)])
     assert np.abs(jacobian - numeric).max() < 1e-6 * np.abs(numeric).max()

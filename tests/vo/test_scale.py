@@ -11,9 +11,9 @@ from fvslam_graph.core.gaussian_pose import LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.vo.depth import triangulate
-from fvslam_graph.vo.epipolar import rays
+from fvslam_graph.vo.epipolar import MatchedRays, rays
 from fvslam_graph.vo.ground_plane import GroundPlane
-from fvslam_graph.vo.relative_pose import RelativePose
+from fvslam_graph.vo.relative_pose import RelativePose, TwoViews
 from fvslam_graph.vo.scale import MIN_COMMON, ORACLE_VARIANCE, MetricScale
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.9, -0.3, 1.2]))
@@ -30,7 +30,7 @@ class Plumb:
         self.answer = GroundPlane(np.array([0.0, baseline_per_height, 0.0]), log_variance, 100)
         self.expected: list[float | None] = []
 
-    def measure(self, previous, current, relative_pose, ray, depths, expected, rng) -> GroundPlane | None:
+    def measure(self, views, expected, rng) -> GroundPlane | None:
         self.expected.append(expected)
         return self.answer
 
@@ -44,7 +44,10 @@ def world(camera, two_views):
     relative_pose = RelativePose(MOTION.rotation(), direction, np.eye(5), inliers, 0.3, np.zeros((5, 2)))
     ray = rays(camera, tracks.keyframe)
     unit = triangulate(
-        tracks.ids, ray, rays(camera, tracks.current), MOTION.rotation(), relative_pose.direction, camera.fx
+        tracks.ids,
+        MatchedRays(ray, rays(camera, tracks.current), camera.fx),
+        MOTION.rotation(),
+        relative_pose.direction,
     )
     depths = 1 / scene.points[:, 2]
     known = MetricMap(InverseDepths.independent(tracks.ids, depths, 0.01 * depths), 0.02**2)
@@ -55,11 +58,7 @@ def estimate(world, source: str, known=None, height=HEIGHT, aligner=None, true_b
     relative_pose, ray, unit, everything = world
     scale = MetricScale(ScaleSettings(source=ScaleSource(source), **settings), aligner, true_baseline)
     step, metric_map = scale.estimate(
-        Frame(3, 0.3, GREY, height),
-        Frame(5, 0.5, GREY, height),
-        relative_pose,
-        ray,
-        unit,
+        TwoViews(Frame(3, 0.3, GREY, height), Frame(5, 0.5, GREY, height), relative_pose, ray, unit),
         everything if known is None else known,
         FALLBACK,
         np.random.default_rng(0),
@@ -155,7 +154,7 @@ def test_an_uncertain_height_makes_an_uncertain_scale(world):
     metric = MetricScale(ScaleSettings(), Plumb(BASELINE / HEIGHT, 0.0), None)
     frames = [Frame(i, float(i), GREY, HEIGHT, height_sigma=0.1 * HEIGHT) for i in range(2)]
     step, _ = metric.estimate(
-        *frames, relative_pose, ray, unit, MetricMap.empty(), LogScale(0.0, 1e6), np.random.default_rng(0)
+        TwoViews(*frames, relative_pose, ray, unit), MetricMap.empty(), LogScale(0.0, 1e6), np.random.default_rng(0)
     )
     assert step.length.variance == pytest.approx(0.1**2 + 0.02**2 + 0.04**2, rel=1e-3)
     assert step.measured is not None and step.measured.variance == pytest.approx(0.1**2 + 0.02**2)
