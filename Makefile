@@ -24,7 +24,7 @@ test-all: test ## ... and the long ones, over many seeds
 	$(PYTEST) -m slow
 
 test-numerics: $(READY) ## Those on which a processor's last bits tell; OPENBLAS_CORETYPE=Nehalem, say, is another processor
-	$(PYTEST) tests/vo tests/slam tests/fusion tests/test_pipeline.py
+	$(PYTEST) tests/vo tests/slam tests/graph tests/fusion tests/test_estimator.py tests/test_pipeline.py
 
 fuzz: $(READY) ## Spoilt inputs, twenty times as many as among the tests
 	FVSLAM_FUZZ=20 $(BIN)/pytest tests/fuzz

@@ -14,4 +14,4 @@ print(f"{np.median(run.frames['inliers']):.0f} inliers in the median frame")
 if run.ground_truth is not None:
     evaluation = fvslam_graph.evaluate(run, align="sim3")
     print(f"APE {evaluation.errors['ape_trans'].stats['rmse']:.3f} m, scale off by {evaluation.scale - 1:+.2%}")
-    print(f"NEES {evaluation.consistency.mean:.1f}, 6 is honest")
+    print(f"NEES {evaluation.consistency.mean:.1f}, 6 is consistent")

@@ -1,7 +1,7 @@
 """Monte-Carlo consistency of visual odometry: NEES of relative poses over many seeds of a synthetic world.
 
 Each seed is a world of its own. The mean NEES over the seeds is compared, frame by frame, with the band in which the
-mean of as many honest estimates lies with 95 % probability (Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2).
+mean of as many consistent estimates lies with 95 % probability (Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2).
 """
 
 from concurrent.futures import ProcessPoolExecutor

@@ -1,7 +1,7 @@
 """Monte-Carlo consistency on simulated points: NEES of the pose over many seeds, without images.
 
 Each seed is a scene of its own, with noise of half a pixel. The mean NEES over the seeds is compared, frame by frame,
-with the band in which the mean of as many honest estimates lies with 95 % probability (Bar-Shalom, Li, Kirubarajan
+with the band in which the mean of as many consistent estimates lies with 95 % probability (Bar-Shalom, Li, Kirubarajan
 2001, section 5.4.2).
 
 `nees_vslam.png` is visual SLAM that starts from depths whose errors are known, without and with a share of wrong
@@ -88,7 +88,9 @@ def main(
                         f"inside; position off by {np.sqrt((errors**2).mean()):.3f} m (RMS)"
                     )
                     axes.plot(np.arange(1, frames + 1), steps, color=colour, label=label)
-                axes.axhspan(low, high, color="grey", alpha=0.25, linewidth=0, label="95 % band of honest estimates")
+                axes.axhspan(
+                    low, high, color="grey", alpha=0.25, linewidth=0, label="95 % band of consistent estimates"
+                )
                 axes.set(title=kind, ylabel="mean NEES", yscale="log", ylim=(1, None))
             axes.set_xlabel("frame")
             figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)

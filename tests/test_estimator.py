@@ -213,7 +213,7 @@ def test_any_mode_runs_on_simulated_points(mode):
     assert used.all() and 0.5 < values.mean() < 10  # measured 4.6 to 5.5
 
 
-def test_visual_slam_that_starts_from_odometry_is_honest():
+def test_visual_slam_that_starts_from_odometry_is_consistent():
     """Its first depths share the error of one motion; taken as independent, the mean over these seeds is 15."""
     values = []
     for seed in range(6):

@@ -44,7 +44,7 @@ def test_it_runs(snippet, kitti, tmp_path, monkeypatch, undrawn):
     names: dict = {}
     exec(snippet, names)
     assert names["evaluation"].errors["ape_trans"].stats["rmse"] < 1
-    assert set(names["outcome"].finished["mode"]) == {"vo", "graph"}
+    assert set(names["results"].finished["mode"]) == {"vo", "graph"}
 
 
 def test_there_is_some():

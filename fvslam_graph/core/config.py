@@ -97,11 +97,11 @@ class Mode(StrEnum):
 class SlamSettings(_Group):
     """EKF visual SLAM."""
 
-    interleave: PositiveInt | None = None  # every how many frames; by itself 1 in mode vslam, else the paper's 5
+    interleave: PositiveInt | None = None  # every how many frames; by default 1 in mode vslam, else the paper's 5
     min_landmarks: PositiveInt = Field(25, ge=8, le=1000)  # measured in every frame, where the image has as many
     min_matches: PositiveFloat = 3.0  # of landmarks at known depths; fewer that agree, and the motion model carries on
     min_share: float = Field(0.15, ge=0, le=1)  # of the matches, that have to agree, likewise
-    # What predicts the next frame; by itself the velocity in mode vslam, odometry where both run.
+    # What predicts the next frame; by default the velocity in mode vslam, odometry where both run.
     motion: Literal["constant_velocity", "odometry"] | None = None
     # Where odometry runs: landmarks are searched in their ellipses (the paper), or followed by its tracks in between.
     association: Literal["search", "tracks"] = "tracks"
@@ -144,7 +144,7 @@ class GraphSettings(_Group):
     # which makes the camera jump.
     online: Literal["continuous", "latest"] = "continuous"
     pixel_sigma: PositiveFloat = 0.15  # pixels, of a landmark along each axis, until its noise was measured
-    # What all landmarks of an image err alike, in deviations of one of them: their number does not average that out.
+    # The common error of all landmarks of an image, in deviations of one of them: their number does not average it out.
     common_noise: float = Field(1.0, ge=0)
     # How well the calibration is known that the images come with, as a rule: it is estimated with all else.
     focal_sigma: float = Field(0.001, ge=0)  # share of the focal length

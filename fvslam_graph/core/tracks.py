@@ -40,7 +40,7 @@ class Tracks:
 
     @classmethod
     def alike(cls, ids: NDArray[np.int64], keyframe: NDArray[np.float64], current: NDArray[np.float64]) -> Tracks:
-        """Tracks of corners that err alike."""
+        """Tracks of corners, which all err by as much."""
         return cls(ids, keyframe, current, np.tile(np.eye(2), (len(ids), 1, 1)))
 
 

@@ -1,4 +1,4 @@
-"""Estimators on simulated points, without images: whether they are right, and honest about how wrong they are."""
+"""Estimators on simulated points, without images: whether they are right, and consistent about how wrong they are."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def run_vslam(
 def run(scene: PointScene, config: Config, wrong: float = 0.0) -> Iterator[FrameResult]:
     """Any mode on a scene: the loop that runs on images, with other eyes.
 
-    The scale source `oracle` errs by as much as it says; were it exact, an honest covariance would look careful.
+    The scale source `oracle` errs by as much as it says; were it exact, a consistent covariance would look careful.
 
     Args:
         scene: Landmarks and camera path.

@@ -1,4 +1,4 @@
-"""Whether covariances are honest: the normalised estimation error squared (NEES).
+"""Whether covariances are consistent: the normalised estimation error squared (NEES).
 
 Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 5.4.2.
 """

@@ -227,7 +227,7 @@ class Graph:
         points = self._poses[self._fused].transformFrom(self._observations.points[before].T).T
         deviation, sigma = self._landmark_factors.deviation, self._noise.sigma
         seen = contradiction(expected, points, observations.pixels[now], self._camera, deviation(sigma, 1), index)
-        # What all landmarks err alike is averaged out by no number of them.
+        # The common error of all landmarks is averaged out by no number of them.
         inflation = (deviation(sigma, len(observations.ids)) / deviation(sigma, 1)) ** 2
         return None if seen is None else GaussianPose(seen.mean, inflation * seen.covariance)
 

@@ -186,7 +186,7 @@ class LandmarkFactors:
     def deviation(self, sigma: float, count: int) -> float:
         """The deviation of a pixel with noise `sigma` of its own along each axis, in an image with so many landmarks.
 
-        What they all err alike, by what makes tracks drift, does not average out. A covariance
+        Their common error, by what makes tracks drift, does not average out. A covariance
         s^2 v v^T, whatever the pattern v of numbers up to 1, is at most N s^2 I, for N landmarks: with that added to
         the variance of each one, they may be taken as independent.
         """

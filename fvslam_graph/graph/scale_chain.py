@@ -1,4 +1,4 @@
-"""The scale of odometry as variables of the graph: what its lengths err alike."""
+"""The scale of odometry as variables of the graph: the common error of its lengths."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 
-NEIGHBOURHOODS = (8, 6)  # of the image, within which tracks are taken to err alike: blur, rolling shutter, calibration
+NEIGHBOURHOODS = (8, 6)  # of the image, within which tracks have a common error: blur, rolling shutter, calibration
 MIN_CURVATURE = 0.1  # of a loss, as a share of what least squares would have with its weights
 
 

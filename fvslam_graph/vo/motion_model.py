@@ -56,7 +56,7 @@ class ConstantVelocity:
         Args:
             last_T_cur: The motion.
             seconds: How long it took,
-            passed: and how much of that is after what was taken over before; by itself all.
+            passed: and how much of that is after what was taken over before; by default all.
             log_variance: Of its length.
         """
         twist = gtsam.Pose3.Logmap(last_T_cur) / seconds

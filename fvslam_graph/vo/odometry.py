@@ -75,7 +75,7 @@ class VisualOdometry:
         config: Settings.
         ground: What is known of the ground plane; the scale source `plane` needs it.
         true_baseline: Distance in metres between two frames by index, for the scale source `oracle`.
-        tracker: Finds points again; by itself what the settings say.
+        tracker: Finds points again; by default what the settings say.
     """
 
     def __init__(

@@ -49,12 +49,12 @@ def test_honest_covariances_are_consistent_and_others_are_not() -> None:
     rng = np.random.default_rng(2)
     covariances = np.array([covariance(rng) for _ in range(2000)])
     errors = np.array([rng.multivariate_normal(np.zeros(6), P) for P in covariances])
-    honest = consistency(errors, covariances)
-    assert (honest.count, honest.dof) == (2000, 6)
-    assert honest.low < honest.mean < honest.high
-    assert 0.935 < honest.below < 0.965
-    assert consistency(1.2 * errors, covariances).mean > honest.high
-    assert consistency(0.8 * errors, covariances).mean < honest.low
+    consistent = consistency(errors, covariances)
+    assert (consistent.count, consistent.dof) == (2000, 6)
+    assert consistent.low < consistent.mean < consistent.high
+    assert 0.935 < consistent.below < 0.965
+    assert consistency(1.2 * errors, covariances).mean > consistent.high
+    assert consistency(0.8 * errors, covariances).mean < consistent.low
 
 
 def test_monte_carlo_average_over_runs() -> None:

@@ -63,8 +63,8 @@ def fed() -> Callable[..., Fed]:
     ) -> Fed:
         scene = scene or simulate_drive(frames=frames, seed=seed, noise=noise * PIXEL, landmarks=150 * frames)
         # Simulated pixels err each on its own.
-        honest = {"pixel_sigma": PIXEL, "common_noise": 0.0, "shared_pixels": "ignore"}
-        made = Fed(scene, GraphSettings(**{**honest, **settings}), camera)  # type: ignore[arg-type]
+        consistent = {"pixel_sigma": PIXEL, "common_noise": 0.0, "shared_pixels": "ignore"}
+        made = Fed(scene, GraphSettings(**{**consistent, **settings}), camera)  # type: ignore[arg-type]
         rng = np.random.default_rng([seed, 4])
         poses, last, followed = scene.trajectory.poses, 0, np.empty(0, np.int64)
         for index in range(len(scene)):

@@ -57,7 +57,7 @@ def test_as_good_as_the_batch_optimum(fed):
 
 
 @pytest.mark.parametrize("seeds", [range(10), pytest.param(MANY, marks=pytest.mark.slow)])
-def test_motions_and_covariances_are_honest(fed, seeds):
+def test_motions_and_covariances_are_consistent(fed, seeds):
     """NEES of the motions from fusion to fusion; independent seeds, so that the band is a wide one."""
     values = []
     for seed in seeds:

@@ -1,4 +1,4 @@
-"""The filter on simulated points: right without noise, honest with it, and not led astray."""
+"""The filter on simulated points: right without noise, consistent with it, and not led astray."""
 
 from collections import Counter
 from functools import cache
@@ -41,7 +41,7 @@ def flown(kind: str, seed: int, wrong: float = 0.0) -> tuple[np.ndarray, np.ndar
 
 @pytest.mark.parametrize("kind", SCENES)
 @pytest.mark.parametrize("seeds", [range(12), pytest.param(range(12, 60), marks=pytest.mark.slow, id="many")])
-def test_covariances_are_honest(kind, seeds):
+def test_covariances_are_consistent(kind, seeds):
     """The NEES of poses over seeds; `scripts/monte_carlo.py` does the same for longer.
 
     It is rather too cautious: that the scale drifts where a map is renewed is so on images, but not here.

@@ -102,7 +102,7 @@ def test_errors_are_whitened(camera, two_views):
 
 @pytest.mark.parametrize("sigma", [0.0, 0.03, "some"])
 @pytest.mark.parametrize("outliers", [0.0, 0.2])
-def test_covariance_is_honest(camera, two_views, outliers, sigma):
+def test_covariance_is_consistent(camera, two_views, outliers, sigma):
     """Whether all depths are known, none well, or half of them not at all."""
     values = []
     for seed in range(100):
@@ -117,7 +117,7 @@ def test_covariance_is_honest(camera, two_views, outliers, sigma):
 
 
 def test_covariance_holds_the_errors_that_points_share(camera, two_views):
-    honest, unaware = [], []
+    consistent, unaware = [], []
     for seed in range(100):
         scene = two_views(MOTION, noise=0.1, seed=seed)
         # All depths err with where the points are in the image, as they do by a wrong direction of travel.
@@ -125,11 +125,11 @@ def test_covariance_holds_the_errors_that_points_share(camera, two_views):
         common = np.zeros((len(ray), COMMON_ERRORS))
         common[:, :3] = 0.02 * ray / scene.points[:, 2:]
         told = depths_of(scene, 0.001, seed, common)
-        honest.append(nees_of(refined(camera, scene, told)))
+        consistent.append(nees_of(refined(camera, scene, told)))
         untold = InverseDepths.independent(told.ids, told.values, told.sigmas)
         unaware.append(nees_of(refined(camera, scene, untold)))
-    low, high = nees_band(6, len(honest))
-    assert 0.8 * low < np.mean(honest) < 1.1 * high
+    low, high = nees_band(6, len(consistent))
+    assert 0.8 * low < np.mean(consistent) < 1.1 * high
     assert np.mean(unaware) > 2 * high
 
 

@@ -39,7 +39,7 @@ def test_the_baseline_is_the_unit(camera, two_views):
     assert metric.sigmas == pytest.approx(unit.sigmas / length)
 
 
-def test_sigmas_are_honest(camera, two_views):
+def test_sigmas_are_consistent(camera, two_views):
     scene = two_views(MOTION)
     true = 1 / scene.points[:, 2]
     normalized = []

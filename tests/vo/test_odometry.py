@@ -105,8 +105,8 @@ def test_the_same_seed_gives_the_same_bits(drive, preset):
     )
 
 
-def test_covariances_are_about_honest(flight, flown, drive, driven):
-    """Honest is 6. Errors of the map's points and of the tracks are alike over frames: the estimates are optimistic."""
+def test_covariances_are_about_consistent(flight, flown, drive, driven):
+    """Consistent is 6. Errors of the map's points and of the tracks are alike over frames: estimates are optimistic."""
     assert 3 < np.median(flight.nees(flown[1:])) < 12  # measured 7.2
     assert 3 < np.median(drive.nees(driven[1:])) < 12  # measured 4.8
 

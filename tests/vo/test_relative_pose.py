@@ -92,7 +92,7 @@ def nees_of(camera, two_views, motion, seeds: int, **options: float) -> np.ndarr
 
 
 @MOTIONS
-def test_covariance_is_honest(camera, two_views, motion):
+def test_covariance_is_consistent(camera, two_views, motion):
     values = nees_of(camera, two_views, motion, 100, noise=0.1)
     low, high = nees_band(5, len(values))
     assert low < values.mean() < 1.1 * high  # measured 5.6 and 5.2

@@ -1,4 +1,4 @@
-"""The filter of the map's scale: optimal and honest where its model holds."""
+"""The filter of the map's scale: optimal and consistent where its model holds."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def drive(settings: ScaleSettings, seed: int, silent=range(0)) -> tuple[float, f
 
 
 @pytest.mark.parametrize("silent", [range(0), range(40, 50)])
-def test_it_is_honest(silent):
+def test_it_is_consistent(silent):
     errors, variances = np.array([drive(SETTINGS, seed, silent) for seed in range(RUNS)]).T
     assert np.mean(errors**2 / variances) == pytest.approx(1.0, abs=0.2)  # 400 runs: 0.07 is one deviation
     assert np.std(errors) < 0.03  # from 5 %
