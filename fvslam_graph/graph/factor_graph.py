@@ -38,6 +38,7 @@ from fvslam_graph.graph.factors import (
 )
 from fvslam_graph.graph.gating import contradiction
 from fvslam_graph.graph.landmark_candidates import LandmarkCandidates, LandmarkObservation
+from fvslam_graph.graph.pending_update import PendingUpdate
 from fvslam_graph.graph.pixel_noise import PixelNoise
 from fvslam_graph.graph.scale_chain import ScaleChain
 from fvslam_graph.graph.solver import Solver
@@ -65,7 +66,8 @@ class Graph:
         self._landmark_factors = LandmarkFactors(camera, settings)
         self._candidates = LandmarkCandidates(settings)
         self._noise = PixelNoise(settings.pixel_sigma)
-        self._scales = ScaleChain(self.add, self._insert, self._has, relative)
+        self._update = PendingUpdate(self.solver)
+        self._scales = ScaleChain(self._update, relative)
         self._counts: dict[int, int] = {}  # landmarks that each interleaved frame shows
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
         self._stamps: list[float] = []  # of all frames
@@ -75,10 +77,9 @@ class Graph:
         self._fused = 0  # the frame of the last reference P_f
         self._observations: LandmarkObservations | None = None  # of that frame
         self._start_height = math.nan
-        self._begin_batch()
         if settings.landmarks == "projection":
             self.add(self._landmark_factors.calibration.prior())
-            self._values.insert(CALIBRATION, self._landmark_factors.calibration.start)
+            self._update.insert(CALIBRATION, self._landmark_factors.calibration.start)
 
     def add_odometry(self, stamp: float, step: OdometryStep) -> None:
         """Append the next frame, at `stamp` seconds, with its motion since an earlier one."""
@@ -88,7 +89,7 @@ class Graph:
             self._poses.append(gtsam.Pose3())
             self._drift_variances.append(np.zeros((2, 2)))
             self.add(pose_factor(0, GaussianPose.identity()))
-            self._values.insert(pose_key(0), gtsam.Pose3())
+            self._update.insert(pose_key(0), gtsam.Pose3())
         else:
             self._poses.append(self._poses[previous].compose(motion.mean))
             if self.settings.lag is not None and stamp - self._stamps[previous] > self.settings.lag:
@@ -100,7 +101,7 @@ class Graph:
             start = self._drift_variances[previous][0]
             self._drift_variances.append(np.array([start + np.diag(own.covariance).reshape(2, 3).max(axis=1), start]))
             self._moves[index] = step
-        self._seen[pose_key(index)] = stamp
+        self._update.stamps[pose_key(index)] = stamp
 
     def add_height(self, height: float, sigma: float, down: Array) -> None:
         """A reading of the height above level ground (m), at the newest frame; `down` (3,) in the first camera."""
@@ -110,7 +111,7 @@ class Graph:
 
     def add(self, factor: gtsam.NonlinearFactor) -> None:
         """Anything else that is known of poses, see `factors`; it takes effect when the graph is solved next."""
-        self._factors.add(factor)
+        self._update.add(factor)
 
     def fuse(self, observations: LandmarkObservations | None) -> GaussianPose | None:
         """Take in what the newest frame shows of landmarks, and solve.
@@ -170,7 +171,7 @@ class Graph:
         """
         try:
             self._take_motions(None)
-            if self._factors.size():
+            if self._update.factors.size():
                 self._solve()
             self.solver.optimize()
             estimate = self.solver.values()
@@ -193,7 +194,7 @@ class Graph:
         be constant, which is as uncertain as the two differ.
         """
         newest = len(self._poses) - 1
-        recent = newest in self._moves and self._has(pose_key(self._fused))  # not beyond the lag
+        recent = newest in self._moves and self._update.has(pose_key(self._fused))  # not beyond the lag
         if recent and (seen := self._contradiction(newest, observations)):
             doubt = np.diag(gtsam.Pose3.Logmap(self._poses[newest].between(seen.mean)) ** 2)
             start, begin = self._poses[self._fused], self._stamps[self._fused]
@@ -206,7 +207,7 @@ class Graph:
                 motion = GaussianPose(_between(self._poses[step.previous], self._poses[index]), doubt)
                 self._moves[index] = OdometryStep(step.previous, motion)
         for index, step in self._moves.items():
-            self._values.insert(pose_key(index), self._linearised(step.previous).compose(step.prev_T_cur.mean))
+            self._update.insert(pose_key(index), self._linearised(step.previous).compose(step.prev_T_cur.mean))
             self._move(index, step)
         self._moves = {}
 
@@ -237,20 +238,20 @@ class Graph:
         length = float(np.linalg.norm(motion.mean.translation()))
         if self.settings.scale_model == "chain" and step.scale_variance > 0:
             for key in self._scales.extend(step.previous, index, step.scale, step.scale_variance):
-                self._seen[key] = self._stamps[index]
+                self._update.stamps[key] = self._stamps[index]
             motion = motion.with_scale_variance(-step.scale_variance)
             told = self._scales.measure(step.previous, index, motion, self._poses[step.previous])
         elif self.settings.odometry == "essential" and length > SHORT:
             travel = motion.mean.rotation().unrotate(motion.mean.translation() / length)
             sigma = math.sqrt(float(travel @ motion.covariance[3:, 3:] @ travel))
             self.add(length_factor(step.previous, index, length, sigma))
-        if self.settings.odometry == "between" and self._has(CALIBRATION) and step.J_calibration.any():
+        if self.settings.odometry == "between" and self._update.has(CALIBRATION) and step.J_calibration.any():
             step, start = replace(step, prev_T_cur=motion), self._linearised(index)
             calibration = self._landmark_factors.calibration
             for factor in calibrated_motion_factors(index, step, self.settings, calibration, start, length=not told):
                 self.add(factor)
-            self._values.insert(filed_key(index), start)
-            self._seen[filed_key(index)] = self._stamps[index]
+            self._update.insert(filed_key(index), start)
+            self._update.stamps[filed_key(index)] = self._stamps[index]
         else:
             self.add(motion_factor(step.previous, index, motion, self.settings, length=not told))
 
@@ -263,7 +264,7 @@ class Graph:
             if self._near(landmark, observations.points[n]) and self.solver.has(landmark_key(landmark)):
                 self._observe(landmark, LandmarkObservation.of(observations, n, index))
         for candidate in self._candidates.ready(
-            index, observations, known, self._poses, self._drift_variances, self._has, self._refined
+            observations, known, self._poses, self._drift_variances, self._update.has, self._refined
         ):
             away = candidate.position - self._poses[candidate.observations[0].frame].translation()
             self._distances[candidate.landmark] = float(np.linalg.norm(away))
@@ -272,7 +273,7 @@ class Graph:
                 self.add(self._landmark_factors.smart(seen, self._noise.sigma, self._counts[index]))
                 continue
             point = self._linearised(index).transformFrom(self._poses[index].transformTo(candidate.position))
-            self._values.insert(landmark_key(candidate.landmark), point)
+            self._update.insert(landmark_key(candidate.landmark), point)
             for view in candidate.observations:
                 self._observe(candidate.landmark, view)
 
@@ -294,7 +295,7 @@ class Graph:
             self._noise.see(landmark, view.frame, view.pixel)
         elif not np.isnan(view.point).any():
             self.add(self._landmark_factors.bearing_range(view.frame, landmark, view.point, view.covariance))
-        self._seen[landmark_key(landmark)] = self._stamps[-1]
+        self._update.stamps[landmark_key(landmark)] = self._stamps[-1]
 
     def _linearised(self, frame: int) -> gtsam.Pose3:
         """The pose where the factors of a frame are linearised.
@@ -303,21 +304,12 @@ class Graph:
         by more than the step that is added to it.
         """
         key = pose_key(frame)
-        return self._values.atPose3(key) if self._values.exists(key) else self.solver.linearised(key)
-
-    def _has(self, key: int) -> bool:
-        """Whether a variable is in the graph, or about to enter it."""
-        return self._values.exists(key) or self.solver.has(key)
-
-    def _insert(self, key: int, value: float) -> None:
-        self._values.insert(key, value)
+        return self._update.values.atPose3(key) if self._update.values.exists(key) else self.solver.linearised(key)
 
     def _solve(self) -> None:
-        batch = self._factors, self._values, self._seen
-        self._begin_batch()  # taken in once, also where it cannot be solved
-        if batch[1].exists(CALIBRATION) or self.solver.has(CALIBRATION):
-            batch[2][CALIBRATION] = self._stamps[-1]  # within any lag
-        self.solver.update(*batch)
+        if self._update.has(CALIBRATION):
+            self._update.stamps[CALIBRATION] = self._stamps[-1]  # within any lag
+        self._update.solve()
         if self.solver.has(CALIBRATION):
             self._refined = self._landmark_factors.calibration.camera(self.solver.calibration())
         for index in range(max(self._fused - RECENT, 0), len(self._poses)):
@@ -327,11 +319,6 @@ class Graph:
             self._scales.forget()
             within = (item for item in self._distances.items() if self.solver.has(landmark_key(item[0])))
             self._distances = dict(within)
-
-    def _begin_batch(self) -> None:
-        """Begin to collect what the next update of the solver takes in."""
-        self._factors, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self._seen: dict[int, float] = {}
 
 
 def _between(a: gtsam.Pose3, b: gtsam.Pose3) -> gtsam.Pose3:

@@ -64,7 +64,6 @@ class LandmarkCandidates:
 
     def ready(
         self,
-        frame: int,
         observations: LandmarkObservations,
         known: NDArray[np.bool_],
         poses: list[gtsam.Pose3],
@@ -75,16 +74,15 @@ class LandmarkCandidates:
         """Take in the views of one frame, and hand out landmarks that can enter the graph.
 
         Args:
-            frame: Index.
-            observations: Of N landmarks.
+            observations: Of N landmarks, in the newest frame.
             known: (N,) which of them are in the graph already.
-            poses: world_T_camera of all frames up to this one.
+            poses: world_T_camera of all frames.
             drift_variances: (2, 2) of all frames: variance (rad^2, m^2, along an axis) of odometry's drift until there,
                 and until the frame that its motion starts from.
             has: Whether the graph has a variable.
             camera: As it is known now.
         """
-        ready = []
+        ready, frame = [], len(poses) - 1
         for n in np.flatnonzero(~known):
             landmark = int(observations.ids[n])
             candidate = self._waiting.setdefault(landmark, LandmarkCandidate(landmark))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import gtsam
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, GaussianPose, LogScale
 from fvslam_graph.core.vo_estimate import ScaleStep
 from fvslam_graph.graph.factors import SHORT, pose_key
+from fvslam_graph.graph.pending_update import PendingUpdate
 
 LENGTH_SIGMA = 1e-4  # share of a length that it errs by, beyond its scale
 CONVENTION = 1e-3  # of the logarithm of a scale that nothing measures
@@ -47,21 +47,13 @@ class ScaleChain:
     All factors are GTSAM's own; those that it has no class for are linear ones (LinearContainerFactor).
 
     Args:
-        add: Takes a factor,
-        insert: and the first value of a variable.
-        has: Whether a variable is in the graph, or about to enter it.
+        update: Collects factors and variables.
         relative: Nothing tells metres. Then the first scale is a convention: one that is merely not known would shrink
             the path to a point, where what errs by metres errs by none.
     """
 
-    def __init__(
-        self,
-        add: Callable[[gtsam.NonlinearFactor], None],
-        insert: Callable[[int, float], None],
-        has: Callable[[int], bool],
-        relative: bool = False,
-    ) -> None:
-        self._add, self._insert, self._has, self._relative = add, insert, has, relative
+    def __init__(self, update: PendingUpdate, relative: bool = False) -> None:
+        self._update, self._relative = update, relative
         self._scale_of: dict[int, int] = {}  # frame where the scale was learnt that another frame's map has
         self._lengths: dict[tuple[int, int], _Length] = {}  # of the motions between two frames
 
@@ -77,13 +69,13 @@ class ScaleChain:
             The variables that this is about.
         """
         before = self._scale_of.get(previous)
-        if before is not None and not self._has(scale_key(before)):
+        if before is not None and not self._update.has(scale_key(before)):
             before = None  # beyond the lag
         if before is not None and step is None:
             self._scale_of[index] = before
             return self._variables(before)
         self._scale_of[index] = index
-        self._insert(scale_key(index), 0.0)
+        self._update.insert(scale_key(index), 0.0)
         if step is None:
             self._begin(scale_key(index), LogScale(0.0, variance))
             return [scale_key(index)]
@@ -93,8 +85,8 @@ class ScaleChain:
         else:
             self._link(scale_key(before), scale_key(index), predicted)
         if step.bias_variance > 0:
-            self._insert(bias_key(index), 0.0)
-            if before is None or not self._has(bias_key(before)):
+            self._update.insert(bias_key(index), 0.0)
+            if before is None or not self._update.has(bias_key(before)):
                 self._hold(bias_key(index), LogScale(0.0, step.bias_variance))
             else:
                 self._decay(bias_key(before), bias_key(index), step)
@@ -125,7 +117,7 @@ class ScaleChain:
         variance = float(travel @ motion.covariance[3:, 3:] @ travel) + (LENGTH_SIGMA * metres) ** 2
         length = _Length(metres, math.sqrt(variance), self._scale_of[index])
         self._lengths[previous, index] = length
-        self._add(_length_factor(previous, index, length, direction, motion.mean, world_T_previous))
+        self._update.add(_length_factor(previous, index, length, direction, motion.mean, world_T_previous))
         return True
 
     def lengths(self, values: gtsam.Values) -> dict[tuple[int, int], tuple[float, float]]:
@@ -139,23 +131,23 @@ class ScaleChain:
 
     def forget(self) -> None:
         """Drop what refers to variables that the graph no longer has."""
-        self._scale_of = {frame: scale for frame, scale in self._scale_of.items() if self._has(scale_key(scale))}
+        self._scale_of = {frame: scale for frame, scale in self._scale_of.items() if self._update.has(scale_key(scale))}
         self._lengths = {
-            frames: length for frames, length in self._lengths.items() if self._has(scale_key(length.scale))
+            frames: length for frames, length in self._lengths.items() if self._update.has(scale_key(length.scale))
         }
 
     def _variables(self, frame: int) -> list[int]:
-        return [key for key in (scale_key(frame), bias_key(frame)) if self._has(key)]
+        return [key for key in (scale_key(frame), bias_key(frame)) if self._update.has(key)]
 
     def _begin(self, key: int, value: LogScale) -> None:
         """The first scale of a chain, or of what is left of it."""
         self._hold(key, LogScale(value.mean, CONVENTION**2) if self._relative else value)
 
     def _hold(self, key: int, value: LogScale) -> None:
-        self._add(gtsam.PriorFactorDouble(key, value.mean, _sigma(value.variance)))
+        self._update.add(gtsam.PriorFactorDouble(key, value.mean, _sigma(value.variance)))
 
     def _link(self, first: int, second: int, difference: LogScale) -> None:
-        self._add(gtsam.BetweenFactorDouble(first, second, difference.mean, _sigma(difference.variance)))
+        self._update.add(gtsam.BetweenFactorDouble(first, second, difference.mean, _sigma(difference.variance)))
 
     def _decay(self, first: int, second: int, step: ScaleStep) -> None:
         noise = _sigma((1 - step.bias_decay**2) * step.bias_variance)
@@ -163,7 +155,7 @@ class ScaleChain:
         values = gtsam.Values()
         values.insert(first, 0.0)
         values.insert(second, 0.0)
-        self._add(gtsam.LinearContainerFactor(decay, values))
+        self._update.add(gtsam.LinearContainerFactor(decay, values))
 
 
 def _length_factor(

@@ -19,7 +19,9 @@ from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.graph.factor_graph import Graph
 from fvslam_graph.graph.factors import length_factor, motion_factor, pose_key, position_factor
+from fvslam_graph.graph.pending_update import PendingUpdate
 from fvslam_graph.graph.scale_chain import LENGTH_SIGMA, ScaleChain, scale_key
+from fvslam_graph.graph.solver import Solver
 from fvslam_graph.vo.scale_filter import ScaleFilter
 
 CAMERA = Camera(width=640, height=480, fx=400, fy=400, cx=320, cy=240)
@@ -195,14 +197,14 @@ def test_a_frame_that_is_located_has_the_scale_of_its_map():
 
 def test_the_length_against_the_built_in_range():
     """With the scale as a constant, it is GTSAM's range between two poses, wherever these are."""
-    factors, values = [], gtsam.Values()
-    chain = ScaleChain(factors.append, values.insert, values.exists)
+    update = PendingUpdate(Solver(GraphSettings()))
+    chain = ScaleChain(update)
     variance = 0.03**2
     chain.extend(0, 1, ScaleStep(LogScale(0.0, variance), LogScale(0.0, variance)), variance)
     away = gtsam.Pose3.Expmap(np.array([0.3, -0.5, 0.8, 3.0, -2.0, 5.0]))
     assert chain.measure(0, 1, GaussianPose(STEP, (1e-3 * METRES) ** 2 * np.eye(6)), away)
     sigma = math.hypot(1e-3, LENGTH_SIGMA) * METRES
-    length = factors[-1]
+    length = update.factors.at(update.factors.size() - 1)
     scaled = gtsam.Pose3(STEP.rotation(), 1.01 * STEP.translation())
     built_in = length_factor(0, 1, METRES, sigma)
     corrected = gtsam.Pose3.Expmap(np.array([0.1, -0.2, 0.1, 20.0, -10.0, 5.0])) * away

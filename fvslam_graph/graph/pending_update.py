@@ -1,0 +1,48 @@
+"""The next update of the solver, as it is collected."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gtsam
+
+from fvslam_graph.graph.solver import Solver
+
+
+class PendingUpdate:
+    """Collects factors and variables until the graph is solved.
+
+    Args:
+        solver: Takes them in.
+
+    Attributes:
+        factors: New ones.
+        values: First values of new variables.
+        stamps: When variables are seen, seconds.
+    """
+
+    def __init__(self, solver: Solver) -> None:
+        self._solver = solver
+        self._clear()
+
+    def add(self, factor: gtsam.NonlinearFactor) -> None:
+        """Add a factor."""
+        self.factors.add(factor)
+
+    def insert(self, key: int, value: Any) -> None:
+        """Add the first value of a variable."""
+        self.values.insert(key, value)
+
+    def has(self, key: int) -> bool:
+        """Whether a variable is in the graph, or about to enter it."""
+        return bool(self.values.exists(key) or self._solver.has(key))
+
+    def solve(self) -> None:
+        """Hand all to the solver, once, also where it cannot be solved."""
+        batch = self.factors, self.values, self.stamps
+        self._clear()
+        self._solver.update(*batch)
+
+    def _clear(self) -> None:
+        self.factors, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        self.stamps: dict[int, float] = {}
