@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.core.files import writing
+from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.evaluation.plots import STYLE, legible, level_axes, save
 from fvslam_graph.runs.landmark_table import NEW, read_landmarks
 from fvslam_graph.runs.ownership import INFO, claim_files
@@ -26,7 +27,7 @@ OUTCOMES = {
     "unmatched": ("#0072B2", "unmatched"),
     NEW: ("#009E73", "new"),
 }
-SIGMAS = 3.035  # of the ellipses in the image: 99 %, what is searched
+SIGMAS = chi2_gate(0.99, 2) ** 0.5  # of the ellipses in the image: 99 %, what is searched
 _SHOWN_PERCENT = 95  # percent of the landmarks that the map shows
 
 

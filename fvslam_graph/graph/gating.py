@@ -8,11 +8,12 @@ import poselib
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.core.gaussian_pose import GaussianPose
 
 Array = NDArray[np.float64]
 
-CONTRADICTION_GATE = 13.816  # 99.9 % quantile of the chi-square distribution with two degrees of freedom
+CONTRADICTION_GATE = chi2_gate(0.999, 2)
 MIN_LANDMARKS = 12  # that agree on where the camera is,
 MIN_AGREEING_SHARE = 0.5  # and of those that are seen
 MAX_CONDITION = 1e14

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.graph.factors import pose_key
 
@@ -18,7 +19,7 @@ Array = NDArray[np.float64]
 
 MIN_DEPTH = 0.05  # metres in front of the camera
 MAX_UNSEEN_FRAMES = 30  # frames after which a landmark that was not seen again is given up
-TRIANGULATION_GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom
+TRIANGULATION_GATE = chi2_gate(0.99, 2)
 UNIT_CALIBRATION = gtsam.Cal3_S2()  # of normalised coordinates
 RANK_TOLERANCE = 1e-9  # of the triangulation
 

@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.core.landmark_finder import Search
 from fvslam_graph.core.sequence import Frame
@@ -13,9 +14,7 @@ from fvslam_graph.simulation.points import PointScene
 
 Array = NDArray[np.float64]
 
-SEARCH_GATE = (
-    13.816  # 99.9 % quantile of the chi-square distribution with two degrees of freedom: the rim of the ellipse
-)
+SEARCH_GATE = chi2_gate(0.999, 2)  # the rim of the ellipse
 MIN_REACH = 20.0  # pixels at least that a wrong match may lie off
 
 

@@ -10,12 +10,13 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.slam.covariances import each_transformed, innovation_covariance, sparse_rows
 from fvslam_graph.slam.inverse_depth import Array, hat, scaled_points
 from fvslam_graph.slam.motion import motion_from_velocity
 from fvslam_graph.slam.state import FIXED, VELOCITY, State
 
-PIXEL_GATE = 9.210  # 99 % quantile of the chi-square distribution with two degrees of freedom, as a pixel has
+PIXEL_GATE = chi2_gate(0.99, 2)  # of a pixel
 MAX_ITERATIONS = 10
 MIN_DEPARTURE = 0.2  # of a pixel's deviation; a smaller departure from linear ends the iteration
 

@@ -8,12 +8,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.core.gaussian_pose import GaussianPose
 
 MAX_INNOVATION = 225.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted,
-AGREEMENT_GATE = (
-    22.458  # but once in doubt, less: 99.9 % quantile of the chi-square distribution with six degrees of freedom
-)
+AGREEMENT_GATE = chi2_gate(0.999, 6)  # but once in doubt, less
 INSISTENCE = 3  # implausible motions in a row that agree with each other: what the images insist on is believed
 AGED = 3.0  # standard deviations, within which a velocity has become so old that it allows for another one
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 from fvslam_graph.core.config import ScaleSettings
+from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.core.gaussian_pose import LogScale
 
-SCALE_GATE = 15.1  # squared deviations: chi-square with one degree of freedom is beyond it once in ten thousand
+SCALE_GATE = chi2_gate(0.9999, 1)
 
 
 class ScaleFilter:
