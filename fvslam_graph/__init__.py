@@ -5,10 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fvslam_graph import testing
-    from fvslam_graph.api import compare, evaluate, run
+    from fvslam_graph.api import Estimator, compare, evaluate, run
+    from fvslam_graph.core.camera import Camera
+    from fvslam_graph.core.sequence import Ground
 
 __version__ = "0.1.0"
-__all__ = ["compare", "evaluate", "run", "testing"]
+__all__ = ["Camera", "Estimator", "Ground", "compare", "evaluate", "run", "testing"]
+_ELSEWHERE = {"Camera": "core.camera", "Ground": "core.sequence"}
 
 
 def __getattr__(name: str) -> Any:
@@ -16,7 +19,7 @@ def __getattr__(name: str) -> Any:
     if name == "testing":
         return import_module("fvslam_graph.testing")
     if name in __all__:
-        return getattr(import_module("fvslam_graph.api"), name)
+        return getattr(import_module(f"fvslam_graph.{_ELSEWHERE.get(name, 'api')}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

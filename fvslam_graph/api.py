@@ -1,23 +1,115 @@
-"""The package from Python: run an estimator, evaluate a trajectory, compare modes."""
+"""The package from Python: an estimator to hold in the hand, run one, evaluate a trajectory, compare modes."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from fvslam_graph.core.config import Mode, load_config
-from fvslam_graph.core.sequence import Sequence
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.core.camera import Camera, Distortion, Rectifier
+from fvslam_graph.core.config import Config, Mode, ScaleSource, load_config
+from fvslam_graph.core.errors import ConfigError, EstimationError
+from fvslam_graph.core.frame_result import Ending, FrameResult
+from fvslam_graph.core.sequence import Frame, Ground, Sequence
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.evaluation.metrics import Evaluation
-from fvslam_graph.evaluation.runs import evaluation_of
-from fvslam_graph.pipeline import run_sequence
-from fvslam_graph.runs.results import Run
-from fvslam_graph.sequences.open import open_sequence
-from fvslam_graph.study.results import StudyResults
-from fvslam_graph.study.run import run_study
-from fvslam_graph.study.spec import comparison, default_folder
+from fvslam_graph.estimator import FrameEstimator
+
+if TYPE_CHECKING:
+    from fvslam_graph.evaluation.metrics import Evaluation
+    from fvslam_graph.runs.results import Run
+    from fvslam_graph.study.results import StudyResults
+
+
+class Estimator:
+    """Estimates the pose of a camera, image by image, as they come.
+
+        estimator = Estimator(camera, mode="average", ground=Ground.below(height=1.65))
+        for stamp, image in live_camera:
+            result = estimator.step(image, stamp)
+            use(result.pose.mean, result.pose.covariance, result.status)
+        ending = estimator.finish()
+
+    The poses are those of `run` on the same images, bit by bit.
+
+    Args:
+        camera: As built: images are rectified where it has a distortion.
+        mode: "vo", "vslam", "average", "intersection" or "graph".
+        ground: What is known of the ground below; without it, the scale is relative.
+        preset: "paper" or "tuned".
+        settings: What differs from the preset, such as {"graph.lag": 5.0}, which bounds the memory of mode "graph".
+        seed: Of all random numbers.
+
+    Raises:
+        ConfigError: A setting is unknown or out of range.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        mode: str = "graph",
+        ground: Ground | None = None,
+        preset: str = "tuned",
+        settings: Mapping[str, Any] | None = None,
+        seed: int = 0,
+    ) -> None:
+        config = _config(preset, mode, seed, settings)
+        if config.scale.source is ScaleSource.ORACLE:
+            raise ConfigError("the scale source 'oracle' needs the ground truth of a recording; choose another source")
+        if ground is None and config.scale.source is ScaleSource.PLANE:
+            config = config.in_relative_scale()
+        self.camera = camera
+        self._ground = ground
+        self._rectify = None if camera.distortion is Distortion.NONE else Rectifier(camera, camera.undistorted())
+        self._estimator = FrameEstimator(camera.undistorted(), config, ground)
+        self._count, self._stamp, self._finished = 0, -math.inf, False
+
+    def step(self, image: NDArray[np.uint8] | None, stamp: float, height: float | None = None) -> FrameResult:
+        """Estimate the pose of the next image.
+
+        Args:
+            image: (H, W) grey, of the camera's size; None where there is none at this time, which gets the status
+                SKIPPED and a pose by the motion model.
+            stamp: Seconds, later than the last.
+            height: Metres from the camera to the ground, as measured now; by default what `ground` says.
+
+        Raises:
+            EstimationError: The image or its stamp cannot be that of a next frame, or `finish` was called.
+        """
+        if self._finished:
+            raise EstimationError("the estimator is finished; begin with a new one")
+        if not (math.isfinite(stamp) and stamp > self._stamp):
+            raise EstimationError(f"stamps are seconds that increase; {stamp:g} comes after {self._stamp:g}")
+        index, ground = self._count, self._ground
+        frame = Frame(index, float(stamp), self._usable(image))
+        if ground is not None:
+            height = float(ground.heights[min(index, len(ground.heights) - 1)]) if height is None else height
+            frame = replace(frame, height=height, height_sigma=ground.height_sigma)
+        result = self._estimator.step(frame)
+        self._count, self._stamp = index + 1, float(stamp)
+        return result
+
+    def finish(self) -> Ending | None:
+        """All that the frames together say, and the factor graph to be written; None in modes without a graph."""
+        if self._finished:
+            raise EstimationError("the estimator is finished already")
+        self._finished = True
+        return self._estimator.finish()
+
+    def _usable(self, image: NDArray[np.uint8] | None) -> NDArray[np.uint8] | None:
+        """The image rectified, or a copy of it: a driver may write the next one into the same memory."""
+        if image is None:
+            return None
+        shape = (self.camera.height, self.camera.width)
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.shape != shape:
+            what = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise EstimationError(f"an image of this camera is an array of uint8 {shape}, not {what}")
+        return image.copy() if self._rectify is None else self._rectify(image)
 
 
 def run(
@@ -44,10 +136,11 @@ def run(
     Raises:
         FvslamError: One sentence on what is missing, unknown or out of range.
     """
+    from fvslam_graph.pipeline import run_sequence
+    from fvslam_graph.sequences.open import open_sequence
+
     recording = sequence if isinstance(sequence, Sequence) else open_sequence(sequence)
-    changes = [f"{name}={json.dumps(value)}" for name, value in (settings or {}).items()]
-    config = load_config(preset, settings=[f"mode={mode}", f"seed={seed}", *changes])
-    return run_sequence(recording, config, None if out is None else Path(out))
+    return run_sequence(recording, _config(preset, mode, seed, settings), None if out is None else Path(out))
 
 
 def evaluate(
@@ -67,6 +160,8 @@ def evaluate(
     Raises:
         FvslamError: A file cannot be read, there is no reference, or the two have no time in common.
     """
+    from fvslam_graph.evaluation.runs import evaluation_of
+
     return evaluation_of(estimated, reference, align, time_offset)
 
 
@@ -100,5 +195,13 @@ def compare(
     Raises:
         FvslamError: One sentence on what is missing, unknown or out of range.
     """
+    from fvslam_graph.study.run import run_study
+    from fvslam_graph.study.spec import comparison, default_folder
+
     study = comparison(sequence, modes, seeds, preset, settings, external, align)
     return run_study(study, default_folder(study) if out is None else Path(out), workers)
+
+
+def _config(preset: str, mode: str, seed: int, settings: Mapping[str, Any] | None) -> Config:
+    changes = [f"{name}={json.dumps(value)}" for name, value in (settings or {}).items()]
+    return load_config(preset, settings=[f"mode={mode}", f"seed={seed}", *changes])

@@ -9,12 +9,13 @@ from functools import partial
 
 import numpy as np
 
+from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import Config, Mode, ScaleSource
-from fvslam_graph.core.frame_result import FrameResult
-from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, GaussianPose
+from fvslam_graph.core.frame_result import Ending, FrameResult
+from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.core.landmark_finder import LandmarkFinder
-from fvslam_graph.core.sequence import DuplicateFilter, Frame, Sequence
+from fvslam_graph.core.sequence import DuplicateFilter, Frame, Ground, Sequence
 from fvslam_graph.core.slam_estimate import MatchOutcome, SlamEstimate
 from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.tracks import FeatureTracker
@@ -34,7 +35,7 @@ SLAM_STAGES = ("filter", "search", "map", "fusion")
 
 @dataclass(frozen=True)
 class FrontEnd:
-    """Stands for images: finds what is seen of a simulated scene.
+    """What replaces the eyes of an estimator; by default it looks at images.
 
     Attributes:
         tracker: Finds points for odometry,
@@ -42,14 +43,116 @@ class FrontEnd:
         baseline: What the scale source `oracle` says of the distance between two frames by index, metres.
     """
 
-    tracker: FeatureTracker
-    finder: LandmarkFinder
-    baseline: Callable[[int, int], float]
+    tracker: FeatureTracker | None = None
+    finder: LandmarkFinder | None = None
+    baseline: Callable[[int, int], float] | None = None
 
 
 def stages(config: Config) -> tuple[str, ...]:
     """The stages that a frame's time is made up of."""
     return ("read", *VO_STAGES) if config.mode is Mode.VO else ("read", *VO_STAGES, *SLAM_STAGES)
+
+
+class FrameEstimator:
+    """The configured mode, frame by frame.
+
+    Args:
+        camera: The camera of the rectified images.
+        config: Mode, settings and seed, as `resolve_config` leaves them.
+        ground: What is known of the ground plane.
+        front_end: What is seen, in place of images.
+    """
+
+    def __init__(
+        self, camera: Camera, config: Config, ground: Ground | None = None, front_end: FrontEnd | None = None
+    ) -> None:
+        front_end = front_end or FrontEnd()
+        self.config = config
+        begin_vo = partial(VisualOdometry, camera, config, ground, front_end.baseline, front_end.tracker)
+        self._vo = begin_vo()
+        self._metres = _MetricRecovery(begin_vo, possible=not config.needs_odometry and not config.scale.relative)
+        finder = front_end.finder or PatchFinder(camera, config.features, config.slam)
+        self._vslam = VSlam(camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
+        self._fusion = _fusion(camera, config, ground)
+        self._schedule = InterleaveSchedule(config.interleave, config.slam.shorten)
+        self._duplicates = DuplicateFilter()
+        self._stamps: list[float] = []  # of all frames
+
+    def step(self, frame: Frame) -> FrameResult:
+        """Estimate the pose of the next frame; frames come in the order of their stamps, numbered from 0."""
+        config, vslam, fusion = self.config, self._vslam, self._fusion
+        stopwatch = Stopwatch()
+        frame = self._duplicates.filtered(frame)
+        self._stamps.append(frame.stamp)
+
+        # O_f: visual odometry, on every frame.
+        odometry: VoEstimate | None = None
+        if config.needs_odometry or not vslam.started:
+            odometry = self._vo.step(frame, vslam.tracks if config.tracks_excluded else None)
+            previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
+            fusion.add_odometry(frame, odometry.step)
+
+        # S_f: visual SLAM, on every k-th frame, from where odometry first knows enough to start it.
+        slam: SlamEstimate | None = None
+        if config.mode is not Mode.VO and not vslam.started and odometry is not None:
+            slam = self._start(frame, odometry)
+            if slam is not None:
+                fusion.start(slam.pose, slam.observations)
+        elif config.mode is not Mode.VO and frame.index - vslam.index >= self._schedule.distance:
+            prior = fusion.motion if config.odometry_is_prior else None
+            slam = vslam.step(frame, prior, self._followed(odometry))
+            previous, status, found = slam.previous, slam.status, slam.status is Status.TRACKED
+            self._schedule.report(well=found)
+
+            # P_f: both fused, and the reference from which both go on.
+            with stopwatch.stage("fusion"):
+                motion = fusion.fuse(slam.pose, slam.prev_T_cur, slam.observations if found else None)
+            if config.mode is not Mode.VSLAM:
+                vslam.reset_pose(fusion.reference)
+
+            anew = self._in_metres_again(frame, status)
+            slam = replace(anew, previous=previous, prev_T_cur=motion, status=status) if anew else slam
+
+        times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
+        times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
+        measures = _measures(config, odometry, slam)
+        return FrameResult(frame.index, frame.stamp, fusion.pose, status, previous, motion, measures, times, slam)
+
+    def through(self, sequence: Sequence) -> Iterator[FrameResult]:
+        """Estimate all frames of a sequence, which are read one by one; the result of each as soon as it is known."""
+        for index in range(len(sequence)):
+            stopwatch = Stopwatch()
+            with stopwatch.stage("read"):
+                frame = sequence.frame(index)
+            result = self.step(frame)
+            yield replace(result, times=dict(result.times) | stopwatch.times)
+
+    def finish(self) -> Ending | None:
+        """What all frames together say; None where the mode does not smooth."""
+        return self._fusion.finish()
+
+    def _start(self, frame: Frame, odometry: VoEstimate) -> SlamEstimate | None:
+        """Begin visual SLAM where odometry knows enough points to begin with, and the scale source has spoken."""
+        points, seconds = odometry.points, frame.stamp - self._stamps[odometry.previous]
+        if odometry.status is not Status.TRACKED or len(points) < self.config.slam.min_landmarks:
+            return None
+        if points.log_variance >= UNINFORMATIVE_VARIANCE and not self.config.scale.relative:
+            return None
+        return self._vslam.start(frame, self._fusion.pose, odometry.prev_T_cur, seconds, points)
+
+    def _followed(self, odometry: VoEstimate | None) -> KnownPoints | None:
+        """What landmarks are followed by between two turns of visual SLAM."""
+        if odometry is None or self.config.slam.association == "search" or odometry.status is not Status.TRACKED:
+            return None
+        return odometry.points
+
+    def _in_metres_again(self, frame: Frame, status: Status) -> SlamEstimate | None:
+        """Begin visual SLAM alone anew where it had lost the metres, and odometry has found them."""
+        odometry = self._metres.step(frame, status)
+        anew = None if odometry is None else self._start(frame, odometry)
+        if anew is not None:
+            self._metres.stop()
+        return anew
 
 
 def estimate(sequence: Sequence, config: Config, front_end: FrontEnd | None = None) -> Iterator[FrameResult]:
@@ -63,66 +166,13 @@ def estimate(sequence: Sequence, config: Config, front_end: FrontEnd | None = No
     Raises:
         ConfigError: The scale source needs what the sequence does not have.
     """
-    baseline = front_end.baseline if front_end else _true_baseline(sequence, config)
-    tracker = front_end.tracker if front_end else None
-    begin_vo = partial(VisualOdometry, sequence.camera, config, sequence.ground, baseline, tracker)
-    vo = begin_vo()
-    metres = _MetricRecovery(begin_vo, possible=not config.needs_odometry and not config.scale.relative)
-    finder = front_end.finder if front_end else PatchFinder(sequence.camera, config.features, config.slam)
-    vslam = VSlam(sequence.camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
-    fusion = _fusion(sequence, config)
-    interleave = InterleaveSchedule(config.interleave, config.slam.shorten)
-    duplicates = DuplicateFilter()
-    for index in range(len(sequence)):
-        stopwatch = Stopwatch()
-        with stopwatch.stage("read"):
-            frame = duplicates.filtered(sequence.frame(index))
+    return frame_estimator(sequence, config, front_end).through(sequence)
 
-        # O_f: visual odometry, on every frame.
-        odometry: VoEstimate | None = None
-        if config.needs_odometry or not vslam.started:
-            odometry = vo.step(frame, vslam.tracks if config.tracks_excluded else None)
-            previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
-            fusion.add_odometry(frame, odometry.step)
 
-        # S_f: visual SLAM, on every k-th frame, from where odometry first knows enough to start it.
-        slam: SlamEstimate | None = None
-        if config.mode is not Mode.VO and not vslam.started and odometry is not None:
-            slam = _start(vslam, frame, odometry, fusion.pose, sequence, config)
-            if slam is not None:
-                fusion.start(slam.pose, slam.observations)
-        elif config.mode is not Mode.VO and index - vslam.index >= interleave.distance:
-            prior = fusion.motion if config.odometry_is_prior else None
-            slam = vslam.step(frame, prior, _followed(odometry, config))
-            previous, status, found = slam.previous, slam.status, slam.status is Status.TRACKED
-            interleave.report(well=found)
-
-            # P_f: both fused, and the reference from which both go on.
-            with stopwatch.stage("fusion"):
-                motion = fusion.fuse(slam.pose, slam.prev_T_cur, slam.observations if found else None)
-            if config.mode is not Mode.VSLAM:
-                vslam.reset_pose(fusion.reference)
-
-            if (told := metres.step(frame, status)) is not None:
-                anew = _start(vslam, frame, told, fusion.pose, sequence, config)
-                if anew is not None:
-                    metres.stop()
-                    slam = replace(anew, previous=previous, prev_T_cur=motion, status=status)
-
-        times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
-        times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
-        yield FrameResult(
-            index=index,
-            stamp=frame.stamp,
-            pose=fusion.pose,
-            status=status,
-            previous=previous,
-            relative=motion,
-            measures=_measures(config, odometry, slam),
-            times=times,
-            slam=slam,
-            graph=fusion.graph,
-        )
+def frame_estimator(sequence: Sequence, config: Config, front_end: FrontEnd | None = None) -> FrameEstimator:
+    """The estimator for a sequence; arguments as for `estimate`."""
+    front_end = front_end or FrontEnd(baseline=_true_baseline(sequence, config))
+    return FrameEstimator(sequence.camera, config, sequence.ground, front_end)
 
 
 class _MetricRecovery:
@@ -148,35 +198,16 @@ class _MetricRecovery:
         self._vo = None
 
 
-def _followed(odometry: VoEstimate | None, config: Config) -> KnownPoints | None:
-    """The points by which landmarks are followed between two turns of visual SLAM."""
-    if odometry is None or config.slam.association == "search" or odometry.status is not Status.TRACKED:
-        return None
-    return odometry.points
-
-
-def _fusion(sequence: Sequence, config: Config) -> Fusion:
+def _fusion(camera: Camera, config: Config, ground: Ground | None) -> Fusion:
     """The fusion of the mode; in mode `vo` there is nothing to fuse."""
     if config.mode is Mode.GRAPH:
         scale = config.scale
-        return GraphFusion(sequence.camera, config.graph, sequence.ground, scale.relative, scale.ground.roughness)
+        return GraphFusion(camera, config.graph, ground, scale.relative, scale.ground.roughness)
     if config.mode is Mode.INTERSECTION:
         return RuleFusion(Intersection(config.fusion.criterion))
     if config.mode is Mode.AVERAGE:
         return RuleFusion(Average(config.fusion.weight, config.fusion.geodesic))
     return SlamAlone()
-
-
-def _start(
-    vslam: VSlam, frame: Frame, odometry: VoEstimate, pose: GaussianPose, sequence: Sequence, config: Config
-) -> SlamEstimate | None:
-    """Visual SLAM begins where odometry knows enough points to begin with, and the scale source has spoken."""
-    points, seconds = odometry.points, frame.stamp - float(sequence.stamps[odometry.previous])
-    if odometry.status is not Status.TRACKED or len(points) < config.slam.min_landmarks:
-        return None
-    if points.log_variance >= UNINFORMATIVE_VARIANCE and not config.scale.relative:
-        return None
-    return vslam.start(frame, pose, odometry.prev_T_cur, seconds, points)
 
 
 def _true_baseline(sequence: Sequence, config: Config) -> Callable[[int, int], float] | None:

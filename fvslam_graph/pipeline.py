@@ -12,7 +12,7 @@ from fvslam_graph.core.config import Config, ScaleSource
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.estimator import estimate
+from fvslam_graph.estimator import frame_estimator
 from fvslam_graph.runs.results import Run, collect
 from fvslam_graph.runs.run_folder import RunWriter, read_run
 
@@ -37,10 +37,12 @@ def run_sequence(
     """
     config = resolve_config(config, sequence)
     metadata = run_metadata(sequence, config)
+    estimator = frame_estimator(sequence, config)
+    results, finish = watch(estimator.through(sequence)), estimator.finish
     if out is None:
-        return collect(watch(estimate(sequence, config)), config, metadata, sequence.ground_truth)
-    with RunWriter(out, config, metadata, sequence.ground_truth) as writer:
-        for result in watch(estimate(sequence, config)):
+        return collect(results, config, metadata, sequence.ground_truth, finish)
+    with RunWriter(out, config, metadata, sequence.ground_truth, finish) as writer:
+        for result in results:
             writer.add(result)
     return read_run(out)
 
@@ -56,8 +58,7 @@ def resolve_config(config: Config, sequence: Sequence) -> Config:
         raise ConfigError(f"{sequence.name} has no ground truth for the scale source 'oracle'; choose another source")
     no_ground = sequence.ground is None or not np.any(sequence.ground.heights > 0)
     if source is ScaleSource.PLANE and no_ground:
-        scale = config.scale.model_copy(update={"source": ScaleSource.MAP})
-        return config.model_copy(update={"scale": scale})
+        return config.in_relative_scale()
     return config
 
 

@@ -1,15 +1,22 @@
 """The package from Python."""
 
+from dataclasses import replace
+
+import cv2
 import gtsam
 import numpy as np
 import pytest
 
 import fvslam_graph
-from fvslam_graph.core.errors import ConfigError, FvslamError
-from fvslam_graph.core.trajectory import Trajectory
+from fvslam_graph.core.camera import Distortion
+from fvslam_graph.core.config import Mode
+from fvslam_graph.core.errors import ConfigError, EstimationError, FvslamError
+from fvslam_graph.core.sequence import Ground
+from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.landmark_plots import plot_landmarks
 from fvslam_graph.evaluation.plots import FIGURES, plot_runs
 from fvslam_graph.sequences.open import open_sequence
+from fvslam_graph.testing import rendered
 
 SHORT = "synthetic:uav?frames=12&size=320x240"
 
@@ -145,3 +152,67 @@ def test_a_wrong_alignment_is_one_sentence(tmp_path, align):
     with pytest.raises(FvslamError, match="align"):
         fvslam_graph.compare(SHORT, align=align, out=tmp_path / "compare")
     assert not (tmp_path / "compare").exists()
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return rendered("uav", frames=24, size="320x240")
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_frames_handed_over_one_by_one_give_the_poses_of_a_run(flown, mode):
+    """Also where the driver writes every image into the same memory."""
+    run = fvslam_graph.run(flown, mode)
+    estimator = fvslam_graph.Estimator(flown.camera, mode, flown.ground)
+    memory = np.empty_like(flown.load(0))
+    for index, stamp in enumerate(flown.stamps):
+        memory[:] = flown.load(index)
+        result = estimator.step(memory, stamp, flown.ground.heights[index])
+        assert np.array_equal(result.pose.mean.matrix(), run.online.poses[index].matrix())
+        assert np.array_equal(result.relative.covariance, run.relatives.covariances[index])
+        assert (result.index, result.status) == (index, run.frames["status"][index])
+    ending = estimator.finish()
+    assert (ending is None) == (mode is not Mode.GRAPH)
+    if ending is not None:
+        assert np.array_equal(ending.smoothed.matrices, run.smoothed.matrices)
+
+
+def test_an_estimator_rectifies_what_a_lens_has_bent(flown):
+    """Nearly: twice resampled images are blurred."""
+    lens = replace(flown.camera, distortion=Distortion.RADTAN, coefficients=(-0.2, 0.05, 0.0, 0.0))
+    plane = np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), axis=-1).reshape(-1, 2)
+    camera = flown.camera
+    seen = lens.normalize(plane) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    maps = np.moveaxis(seen.reshape(240, 320, 2).astype(np.float32), -1, 0)
+    ends = []
+    for source, bent in ((camera, False), (lens, True)):
+        estimator = fvslam_graph.Estimator(source, "vo", Ground.below(pitch=np.pi / 2))
+        for index, stamp in enumerate(flown.stamps[:12]):
+            image = flown.load(index)
+            image = cv2.remap(image, *maps, cv2.INTER_LINEAR) if bent else image
+            result = estimator.step(image, stamp, flown.ground.heights[index])
+        ends.append(result.pose.mean)
+    apart = np.linalg.norm(ends[0].between(ends[1]).translation())
+    assert apart < 0.05 * np.linalg.norm(ends[0].translation())  # measured 0.0
+
+
+def test_what_cannot_be_a_next_frame(flown):
+    estimator = fvslam_graph.Estimator(flown.camera, "average")
+    image = flown.load(0)
+    assert estimator.step(image, 1.0).status is Status.STATIC
+    for wrong, stamp, said in (
+        (image, 1.0, "stamps are seconds that increase; 1 comes after 1"),
+        (image, np.nan, "stamps are seconds that increase"),
+        (image[:100], 2.0, r"array of uint8 \(240, 320\), not uint8 \(100, 320\)"),
+        (image.astype(float), 2.0, "not float64"),
+        ("image.png", 2.0, "not str"),
+    ):
+        with pytest.raises(EstimationError, match=said):
+            estimator.step(wrong, stamp)
+    assert estimator.step(None, 1.1).status is Status.SKIPPED
+    assert estimator.finish() is None
+    for late in (lambda: estimator.step(image, 3.0), estimator.finish):
+        with pytest.raises(EstimationError, match="finished"):
+            late()
+    with pytest.raises(ConfigError, match="oracle"):
+        fvslam_graph.Estimator(flown.camera, settings={"scale.source": "oracle"})

@@ -29,7 +29,7 @@ FACES = {
     "cli": LOWER | {"api"},
     "testing": LOWER | {"api"},
     "__main__": {"cli"},
-    "__init__": {"api", "testing"},
+    "__init__": {"api", "core", "testing"},
 }
 # What opens recordings opens synthetic worlds, too; all modes on simulated points are measured by evaluation.
 EXCEPTIONS = {"sequences/open.py": {"simulation"}}

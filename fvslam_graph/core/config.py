@@ -171,6 +171,10 @@ class Config(_Group):
     fusion: FusionSettings = FusionSettings()
     graph: GraphSettings = GraphSettings()
 
+    def in_relative_scale(self) -> Config:
+        """The same settings where nothing tells metres."""
+        return self.model_copy(update={"scale": self.scale.model_copy(update={"source": ScaleSource.MAP})})
+
     @property
     def interleave(self) -> int:
         """Every how many frames visual SLAM runs."""

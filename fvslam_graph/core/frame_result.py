@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.slam_estimate import SlamEstimate
@@ -14,22 +13,38 @@ from fvslam_graph.core.trajectory import Status, Trajectory
 G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
 
 
-class SmoothedGraph(Protocol):
-    """A factor graph of a whole run, as far as its results are about it."""
+@dataclass(frozen=True)
+class CalibrationEstimate:
+    """What landmarks tell of the camera, after all that its file says.
 
-    @property
-    def frames(self) -> int:
-        """How many there are."""
+    Attributes:
+        focal_length: Pixels, along x.
+        focal_sigma: Its standard deviation.
+        k1: Radial distortion that is left in the images, as OpenCV's.
+        k1_sigma: Its standard deviation.
+    """
 
-    @property
-    def calibration(self) -> Any:
-        """The camera as landmarks tell it, a dataclass; None where they do not."""
+    focal_length: float
+    focal_sigma: float
+    k1: float
+    k1_sigma: float
 
-    def smoothed(self) -> Trajectory:
-        """All poses, by all measurements; raises an EstimationError where these do not determine them."""
 
-    def write(self, folder: Path) -> None:
-        """Write G2O, LANDMARKS_PLY, FACTORS and VALUES into a folder."""
+@dataclass(frozen=True)
+class Ending:
+    """What all frames together say, once the last one was seen.
+
+    Attributes:
+        smoothed: All poses, by all measurements; None where these do not determine them.
+        summary: How many poses that is, or why there are none.
+        calibration: The camera as the measurements tell it; None where they do not.
+        write: Writes G2O, LANDMARKS_PLY, FACTORS and VALUES into a folder; raises an EstimationError without poses.
+    """
+
+    smoothed: Trajectory | None
+    summary: str
+    calibration: CalibrationEstimate | None
+    write: Callable[[Path], None]
 
 
 @dataclass(frozen=True)
@@ -46,7 +61,6 @@ class FrameResult:
         measures: Columns of frames.csv, such as tracks, inliers, scale (m per unit baseline), scale_sigma.
         times: Milliseconds by stage. Measures and stages have the same names in every frame of a run.
         slam: What visual SLAM says, where it ran on this frame.
-        graph: The factor graph, where the mode has one: the same object in every result, which goes on to grow.
     """
 
     index: int
@@ -58,4 +72,3 @@ class FrameResult:
     measures: Mapping[str, float]
     times: Mapping[str, float]
     slam: SlamEstimate | None = None
-    graph: SmoothedGraph | None = None

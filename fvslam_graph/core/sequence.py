@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -61,7 +62,8 @@ class Ground:
     """The ground below the camera: the fact that makes one camera metric.
 
     Attributes:
-        heights: (N,) metres from the camera to the ground plane, per frame; NaN where unknown.
+        heights: (N,) metres from the camera to the ground plane, per frame; NaN where unknown. For an `Estimator`, the
+            last one holds from there on.
         normal: (3,) unit vector in camera coordinates that points from the camera down to the ground plane.
         normal_sigma: Standard deviation of its direction, radians; how far the camera tilts against the ground.
         source: Where the heights come from, for the reader of a report.
@@ -73,6 +75,18 @@ class Ground:
     normal_sigma: float
     source: str
     height_sigma: float = 0.0
+
+    @staticmethod
+    def below(height: float = math.nan, pitch: float = 0.0, tilt: float = 0.05) -> Ground:
+        """Level ground.
+
+        Args:
+            height: Metres from the camera down to it; NaN where each frame comes with its own.
+            pitch: Radians that the camera looks below the horizon.
+            tilt: Standard deviation of its attitude, radians.
+        """
+        normal = np.array([0.0, math.cos(pitch), math.sin(pitch)])
+        return Ground(np.array([height]), normal, tilt, "given")
 
 
 @dataclass(frozen=True)

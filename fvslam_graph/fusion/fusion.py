@@ -5,25 +5,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import replace
 
+from fvslam_graph.core.frame_result import Ending
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.fusion.rules import FusionRule
-from fvslam_graph.graph.factor_graph import Graph
 
 
 class Fusion(ABC):
-    """The reference P_f, from which both subsystems go on (the paper, section 3 and Fig. 1).
-
-    Attributes:
-        graph: The factor graph, if there is one.
-    """
+    """The reference P_f, from which both subsystems go on (the paper, section 3 and Fig. 1)."""
 
     def __init__(self) -> None:
         self._reference = ScaledPose.of(GaussianPose.identity())
-        self.graph: Graph | None = None
         self._chain = OdometryChain()
 
     @property
@@ -65,6 +60,10 @@ class Fusion(ABC):
         fused = self._fused(pose, motion, observations)
         self._chain.anchor(fused)
         return fused
+
+    def finish(self) -> Ending | None:
+        """What all frames together say; None where nothing is smoothed."""
+        return None
 
     @abstractmethod
     def _fused(

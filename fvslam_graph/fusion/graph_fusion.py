@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings, GroundSettings
+from fvslam_graph.core.errors import EstimationError
+from fvslam_graph.core.frame_result import CalibrationEstimate, Ending
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.slam_estimate import LandmarkObservations
@@ -42,7 +44,7 @@ class GraphFusion(Fusion):
         roughness: float = GroundSettings().roughness,
     ) -> None:
         super().__init__()
-        self.graph: Graph = Graph(camera, settings, relative)
+        self.graph = Graph(camera, settings, relative)
         self._settings = settings
         self._down = ground.normal if ground is not None and settings.heights else None
         self._roughness = roughness
@@ -101,6 +103,21 @@ class GraphFusion(Fusion):
             self._step = self._step + self._left * (expected - self.reference.mean.translation())
         self._published[self._newest] = self.reference.mean.translation()
         return self.motion if fused is None else fused
+
+    def finish(self) -> Ending:
+        """All poses by all measurements, as far as these determine them."""
+        graph = self.graph
+        try:
+            smoothed = graph.smoothed()
+        except EstimationError as error:
+            return Ending(None, f"not determined: {error}", None, graph.write)
+        return Ending(smoothed, f"{len(smoothed)} of {graph.frames} poses", self._calibration(), graph.write)
+
+    def _calibration(self) -> CalibrationEstimate | None:
+        try:
+            return self.graph.calibration
+        except (EstimationError, RuntimeError):  # as which GTSAM's exceptions arrive
+            return None
 
     def _published_scale(self) -> float:
         """The scale in which the path was published, against that in which the graph has it now, by least squares."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera, Distortion
 from fvslam_graph.core.config import GraphSettings
+from fvslam_graph.core.frame_result import CalibrationEstimate
 
 Array = NDArray[np.float64]
 
@@ -17,23 +18,6 @@ CALIBRATION = int(gtsam.symbol("c", 0))
 TAILS = 1.0  # standard deviations, width of a Cauchy distribution
 MAX_K1 = 1.0
 EXACT_SIGMA = 1e-6  # standard deviation of what is not estimated, as no factor is exact
-
-
-@dataclass(frozen=True)
-class CalibrationEstimate:
-    """The camera as landmarks determine it, beside all that its file says.
-
-    Attributes:
-        focal_length: Pixels, along x.
-        focal_sigma: Its standard deviation.
-        k1: Radial distortion that is left in the images, as OpenCV's.
-        k1_sigma: Its standard deviation.
-    """
-
-    focal_length: float
-    focal_sigma: float
-    k1: float
-    k1_sigma: float
 
 
 class SelfCalibration:

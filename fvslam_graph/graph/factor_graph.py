@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
+from fvslam_graph.core.frame_result import CalibrationEstimate
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.graph.calibration import (
     CALIBRATION,
-    CalibrationEstimate,
     calibration_estimate,
 )
 from fvslam_graph.graph.export import write_graph

@@ -52,7 +52,9 @@ def read_landmarks(path: Path, frame: int) -> dict[str, NDArray[np.generic]]:
         ValueError: The file is damaged.
     """
     lines = read_text(path, ResultsError, OWN_MAX_SIZE).splitlines()[1:]
-    cells = np.array([line.split(",") for line in lines if line.startswith(f"{frame},")]).reshape(-1, len(LANDMARK_COLUMNS))
+    cells = np.array([line.split(",") for line in lines if line.startswith(f"{frame},")]).reshape(
+        -1, len(LANDMARK_COLUMNS)
+    )
     columns: dict[str, NDArray[np.generic]] = {"outcome": cells[:, LANDMARK_COLUMNS.index("outcome")]}
     for name in ("id", *_NUMBERS):
         column = cells[:, LANDMARK_COLUMNS.index(name)]

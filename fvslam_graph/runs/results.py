@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from fvslam_graph.core.errors import EstimationError
-from fvslam_graph.core.frame_result import FrameResult, SmoothedGraph
+from fvslam_graph.core.frame_result import Ending, FrameResult
 from fvslam_graph.core.trajectory import Trajectory
 
 
@@ -67,23 +66,12 @@ class Run:
         return len(self.online) / (self.info.get("frames") or np.nan)
 
 
-def smooth(graph: SmoothedGraph | None) -> tuple[Trajectory | None, dict[str, Any]]:
-    """The poses by all measurements, as far as these determine them, and what run.json says of it.
-
-    That is how many poses are `smoothed`, and the `calibration` of the camera with its standard deviations.
-    """
-    if graph is None:
-        return None, {}
-    try:
-        smoothed = graph.smoothed()
-    except EstimationError as error:
-        return None, {"smoothed": f"not determined: {error}"}
-    said: dict[str, Any] = {"smoothed": f"{len(smoothed)} of {graph.frames} poses"}
-    try:
-        calibration = graph.calibration
-    except (EstimationError, RuntimeError):  # as which GTSAM's exceptions arrive
-        return smoothed, said | {"calibration": "not determined"}
-    return smoothed, said if calibration is None else said | {"calibration": asdict(calibration)}
+def ending_info(ending: Ending | None) -> dict[str, Any]:
+    """What run.json says of the end: how many poses are `smoothed`, and the `calibration` with its deviations."""
+    if ending is None:
+        return {}
+    calibration = {"calibration": asdict(ending.calibration)} if ending.calibration else {}
+    return {"smoothed": ending.summary} | calibration
 
 
 def collect(
@@ -91,6 +79,7 @@ def collect(
     config: BaseModel,
     metadata: Mapping[str, Any],
     ground_truth: Trajectory | None = None,
+    finish: Callable[[], Ending | None] = lambda: None,
 ) -> Run:
     """A run in memory, from what an estimator says frame by frame; the arguments are those of `RunWriter`."""
     results = list(results)
@@ -99,15 +88,15 @@ def collect(
         | {f"{stage}_ms": value for stage, value in result.times.items()}
         for result in results
     ]
-    smoothed, said = smooth(results[-1].graph)
+    ending = finish()
     return Run(
         name="-".join(str(metadata[key]) for key in ("sequence", "mode")),
         online=Trajectory(np.array([result.stamp for result in results]), tuple(r.pose.mean for r in results)),
-        smoothed=smoothed,
+        smoothed=ending.smoothed if ending else None,
         ground_truth=ground_truth,
         frames={name: np.array([row[name] for row in rows]) for name in rows[0]},
         config=config.model_dump(mode="json"),
-        info={"status": "finished", **metadata, **said},
+        info={"status": "finished", **metadata, **ending_info(ending)},
         relatives=Relatives(
             np.array([result.previous for result in results], dtype=np.int64),
             np.array([result.relative.mean.matrix() for result in results]),

@@ -25,7 +25,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, NonNega
 
 from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.core.files import replacing, write_file, write_json, writing
-from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES, FrameResult, SmoothedGraph
+from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES, Ending, FrameResult
 from fvslam_graph.core.slam_estimate import SlamEstimate
 from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
 from fvslam_graph.core.trajectory import Status, Trajectory, kitti_line, tum_line
@@ -34,7 +34,7 @@ from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.runs.landmark_table import LANDMARK_COLUMNS, landmark_rows
 from fvslam_graph.runs.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind_of
 from fvslam_graph.runs.provenance import peak_memory_mb, provenance
-from fvslam_graph.runs.results import Relatives, Run, smooth
+from fvslam_graph.runs.results import Relatives, Run, ending_info
 
 ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
 SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"
@@ -72,17 +72,23 @@ class RunWriter:
         folder: Created. A finished run that it holds is kept until this one is finished, too, which is in the folder
             `unfinished` of it until then; any other run is replaced.
         config: The effective settings.
-        metadata: Go into run.json. Known to evaluation and plots: `sequence` (name), `frames` (how many the sequence has),
-            `mode`, `scale_source`, `down` (3,), the direction of gravity in the first camera frame (None: unknown), and
-            `source`, what `open_sequence` takes to open the recording again.
+        metadata: Goes into run.json. Known to evaluation and plots: `sequence` (name), `frames` (how many the sequence
+            has), `mode`, `scale_source`, `down` (3,), the direction of gravity in the first camera frame (None:
+            unknown), and `source`, what `open_sequence` takes to open the recording again.
         ground_truth: Kept with the run, so that it can be evaluated without the recording.
+        finish: Called at the end, also of a run that is interrupted: what all frames together say.
 
     Raises:
         ResultsError: The folder holds something else than a run, is in use, or cannot be written.
     """
 
     def __init__(
-        self, folder: Path, config: BaseModel, metadata: Mapping[str, Any], ground_truth: Trajectory | None = None
+        self,
+        folder: Path,
+        config: BaseModel,
+        metadata: Mapping[str, Any],
+        ground_truth: Trajectory | None = None,
+        finish: Callable[[], Ending | None] = lambda: None,
     ) -> None:
         self.folder = folder
         self._config = config
@@ -90,7 +96,7 @@ class RunWriter:
         self._ground_truth = ground_truth
         self._results: list[FrameResult] = []
         self._landmarks: TextIO | None = None
-        self._graph: SmoothedGraph | None = None
+        self._finish = finish
 
     def __enter__(self) -> RunWriter:
         self._begin = time.perf_counter()
@@ -127,8 +133,7 @@ class RunWriter:
             self._frames.flush()
             if result.slam is not None:
                 self._write_landmarks(result.slam)
-        self._graph = result.graph
-        self._results.append(replace(result, slam=None, graph=None))  # on disk, and large
+        self._results.append(replace(result, slam=None))  # on disk, and large
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -138,7 +143,7 @@ class RunWriter:
                 with writing(self._place):
                     self._close()
                     if kind is None or issubclass(kind, KeyboardInterrupt):
-                        self._write_graph()
+                        self._write_ending()
                     self._write_results()
                     self._write_info(_status(error))
                     if kind is None and self._place != self.folder:
@@ -168,13 +173,13 @@ class RunWriter:
         )
         write_file(self._place / COVARIANCES, arrays.getvalue())
 
-    def _write_graph(self) -> None:
-        smoothed, said = smooth(self._graph)
-        self._metadata |= said
-        if self._graph is not None and smoothed is not None:
-            _write_tum(self._place / SMOOTHED, smoothed)
-            write_file(self._place / SMOOTHED_KITTI, "".join(map(kitti_line, smoothed.poses)))
-            self._graph.write(self._place)
+    def _write_ending(self) -> None:
+        ending = self._finish()
+        self._metadata |= ending_info(ending)
+        if ending is not None and ending.smoothed is not None:
+            _write_tum(self._place / SMOOTHED, ending.smoothed)
+            write_file(self._place / SMOOTHED_KITTI, "".join(map(kitti_line, ending.smoothed.poses)))
+            ending.write(self._place)
 
     def _replace_finished(self) -> None:
         """Take the place of the finished run that was here; `run.json` goes first and comes last."""

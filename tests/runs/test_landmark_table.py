@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.core.slam_estimate import Landmarks, MatchOutcome, LandmarkMatches, SlamEstimate
+from fvslam_graph.core.slam_estimate import LandmarkMatches, Landmarks, MatchOutcome, SlamEstimate
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.runs.landmark_table import LANDMARK_COLUMNS, NEW, landmark_rows, read_landmarks
 

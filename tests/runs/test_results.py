@@ -4,7 +4,6 @@ import json
 import os
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -12,8 +11,8 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from fvslam_graph.core.errors import EstimationError, ResultsError, TrajectoryError
-from fvslam_graph.core.frame_result import FrameResult
+from fvslam_graph.core.errors import ResultsError, TrajectoryError
+from fvslam_graph.core.frame_result import Ending, FrameResult
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.runs.run_folder import RunWriter, read_run
@@ -220,19 +219,15 @@ def test_json_of_a_run_is_strict(tmp_path: Path) -> None:
 
 
 class Stopped:
-    """A graph at whose end something happens."""
+    """An ending at which something happens."""
 
-    frames = 5
-    calibration = None
-
-    def __init__(self, stop: BaseException | None = None, folder: Path | None = None) -> None:
-        self.stop, self.folder = stop, folder
+    def __init__(self, stop: BaseException | None = None) -> None:
+        self.stop = stop
         self.status: str | None = None
 
-    def smoothed(self) -> Trajectory:
-        if isinstance(self.stop, EstimationError):
-            raise self.stop
-        return Trajectory(np.array([0.0, 0.1]), (gtsam.Pose3(), STEP))
+    def __call__(self) -> Ending:
+        smoothed = Trajectory(np.array([0.0, 0.1]), (gtsam.Pose3(), STEP))
+        return Ending(smoothed, "2 of 5 poses", None, self.write)
 
     def write(self, folder: Path) -> None:
         self.status = json.loads((folder / "run.json").read_text())["status"]
@@ -240,15 +235,15 @@ class Stopped:
             raise self.stop
 
 
-def finish(folder: Path, graph: Stopped) -> None:
-    with RunWriter(folder, Settings(), FACTS) as writer:
-        writer.add(replace(frame(0), graph=graph))
+def finish(folder: Path, ending: Callable[[], Ending]) -> None:
+    with RunWriter(folder, Settings(), FACTS, finish=ending) as writer:
+        writer.add(frame(0))
 
 
 def test_a_run_is_finished_when_all_is_written(tmp_path: Path) -> None:
-    graph = Stopped()
-    finish(tmp_path, graph)
-    assert graph.status == "running"
+    ending = Stopped()
+    finish(tmp_path, ending)
+    assert ending.status == "running"
     run = read_run(tmp_path)
     assert run.info["status"] == "finished" and run.info["smoothed"] == "2 of 5 poses" and len(run.smoothed) == 2
 
@@ -269,7 +264,7 @@ def test_a_run_whose_end_is_stopped_is_not_finished(tmp_path: Path, stop: BaseEx
 
 
 def test_the_online_result_stands_where_the_graph_cannot_be_solved(tmp_path: Path) -> None:
-    finish(tmp_path, Stopped(EstimationError("it is singular")))
+    finish(tmp_path, lambda: Ending(None, "not determined: it is singular", None, lambda folder: None))
     run = read_run(tmp_path)
     assert (run.info["status"], len(run.online), run.smoothed) == ("finished", 1, None)
     assert run.info["smoothed"] == "not determined: it is singular"

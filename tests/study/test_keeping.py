@@ -198,18 +198,19 @@ def test_a_study_that_was_stopped_and_gone_on_with_equals_an_undisturbed_one(
     (folder / "study.yaml").write_text(STUDY)
     script = f"""
 import os, signal
-from fvslam_graph import pipeline, cli
+from fvslam_graph import cli
+from fvslam_graph.estimator import FrameEstimator
 from fvslam_graph.study import run
 run.draw_study = run._draw_trajectories = lambda *arguments: []
 begun = 0
-def estimate(*arguments, estimate=pipeline.estimate):
+def stopped(self, sequence, through=FrameEstimator.through):
     global begun
     begun += 1
-    for result in estimate(*arguments):
+    for result in through(self, sequence):
         if (begun, result.index) == ({runs}, 5):
             os.kill(os.getpid(), {int(stop)})
         yield result
-pipeline.estimate = estimate
+FrameEstimator.through = stopped
 import sys
 sys.argv = ["fvslam", "study", "study.yaml", "--out", "out", "--workers", "1"]
 cli.main()
