@@ -16,7 +16,7 @@ from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.core.landmark_finder import LandmarkFinder
 from fvslam_graph.core.sequence import DuplicateFilter, Frame, Ground, Sequence
-from fvslam_graph.core.slam_estimate import MatchOutcome, SlamEstimate
+from fvslam_graph.core.slam_estimate import LandmarkObservations, MatchOutcome, SlamEstimate
 from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.tracks import FeatureTracker
 from fvslam_graph.core.trajectory import Status
@@ -28,6 +28,7 @@ from fvslam_graph.fusion.schedule import InterleaveSchedule
 from fvslam_graph.slam.patch_finder import PatchFinder
 from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.vo.odometry import VisualOdometry
+from fvslam_graph.vo.online_calibration import CalibrationCorrection, OnlineCalibration
 
 VO_STAGES = ("association", "pose", "scale", "detection")
 SLAM_STAGES = ("filter", "search", "map", "fusion")
@@ -76,13 +77,15 @@ class FrameEstimator:
         self._fusion = _fusion(camera, config, ground)
         self._schedule = InterleaveSchedule(config.interleave, config.slam.shorten)
         self._duplicates = DuplicateFilter()
+        self._calibration = OnlineCalibration(camera, config.vo.calibrate and front_end.tracker is None)
         self._stamps: list[float] = []  # of all frames
 
     def step(self, frame: Frame) -> FrameResult:
         """Estimate the pose of the next frame; frames come in the order of their stamps, numbered from 0."""
         config, vslam, fusion = self.config, self._vslam, self._fusion
         stopwatch = Stopwatch()
-        frame = self._duplicates.filtered(frame)
+        filed = self._duplicates.filtered(frame)
+        frame = self._calibration.rectified(filed)
         self._stamps.append(frame.stamp)
 
         # O_f: visual odometry, on every frame.
@@ -90,14 +93,14 @@ class FrameEstimator:
         if config.needs_odometry or not vslam.started:
             odometry = self._vo.step(frame, vslam.tracks if config.tracks_excluded else None)
             previous, motion, status = odometry.previous, odometry.prev_T_cur, odometry.status
-            fusion.add_odometry(frame, odometry.step)
+            fusion.add_odometry(frame, replace(odometry.step, calibration=self._calibration.applied))
 
         # S_f: visual SLAM, on every k-th frame, from where odometry first knows enough to start it.
         slam: SlamEstimate | None = None
         if config.mode is not Mode.VO and not vslam.started and odometry is not None:
             slam = self._start(frame, odometry)
             if slam is not None:
-                fusion.start(slam.pose, slam.observations)
+                fusion.start(slam.pose, self._filed(slam.observations))
         elif config.mode is not Mode.VO and frame.index - vslam.index >= self._schedule.distance:
             prior = fusion.motion if config.odometry_is_prior else None
             slam = vslam.step(frame, prior, self._followed(odometry))
@@ -106,12 +109,15 @@ class FrameEstimator:
 
             # P_f: both fused, and the reference from which both go on.
             with stopwatch.stage("fusion"):
-                motion = fusion.fuse(slam.pose, slam.prev_T_cur, slam.observations if found else None)
+                motion = fusion.fuse(slam.pose, slam.prev_T_cur, self._filed(slam.observations) if found else None)
             if config.mode is not Mode.VSLAM:
                 vslam.reset_pose(fusion.reference)
 
             anew = self._in_metres_again(frame, status)
             slam = replace(anew, previous=previous, prev_T_cur=motion, status=status) if anew else slam
+
+        if odometry is not None and (correction := self._calibration.add(odometry.evidence)):
+            slam = self._recalibrate(filed, odometry, correction, slam)
 
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
@@ -145,6 +151,24 @@ class FrameEstimator:
         if odometry is None or self.config.slam.association == "search" or odometry.status is not Status.TRACKED:
             return None
         return odometry.points
+
+    def _recalibrate(
+        self, filed: Frame, odometry: VoEstimate, correction: CalibrationCorrection, slam: SlamEstimate | None
+    ) -> SlamEstimate | None:
+        """Go on with images rectified otherwise: odometry with what it knows, visual SLAM with a new map."""
+        frame = self._calibration.rectified(filed)
+        tracks = replace(odometry.tracks, current=self._calibration.moved(odometry.tracks.current))
+        odometry = replace(odometry, tracks=tracks)
+        self._vo.recalibrate(frame, odometry)
+        self._fusion.calibrate(correction.news)
+        anew = self._start(frame, odometry) if self._vslam.started else None
+        if anew is not None and slam is None:
+            self._fusion.start(anew.pose, self._filed(anew.observations))
+        return slam or anew
+
+    def _filed(self, views: LandmarkObservations) -> LandmarkObservations:
+        """Where landmarks are in the images of the file, for whose calibration fusion has a variable."""
+        return replace(views, pixels=self._calibration.filed(views.pixels))
 
     def _in_metres_again(self, frame: Frame, status: Status) -> SlamEstimate | None:
         """Begin visual SLAM alone anew where it had lost the metres, and odometry has found them."""

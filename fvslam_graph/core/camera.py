@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -163,3 +164,38 @@ class Rectifier:
         """The rectified image; `image` has the size of the source camera."""
         rectified: Image = cv2.remap(image, *self.maps, cv2.INTER_LINEAR)
         return rectified
+
+
+class Recalibration:
+    """A correction of the calibration that images have been rectified with: they are rectified again.
+
+    Args:
+        camera: Undistorted, as it was taken to be; the images are those of such a camera afterwards.
+        log_focal: What is to be added to the logarithm of its focal length.
+        k1: Radial distortion that is left in the images, as OpenCV's.
+    """
+
+    def __init__(self, camera: Camera, log_focal: float, k1: float) -> None:
+        stretch = math.exp(log_focal)
+        self._camera = camera
+        self._true = replace(
+            camera,
+            fx=camera.fx * stretch,
+            fy=camera.fy * stretch,
+            distortion=Distortion.RADTAN,
+            coefficients=(k1, 0.0, 0.0, 0.0),
+        )
+        self._rectifier = Rectifier(self._true, camera)
+
+    def __call__(self, image: Image) -> Image:
+        """The image rectified again."""
+        return self._rectifier(image)
+
+    def corrected(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where pixels (N, 2) of the image are after that."""
+        camera = self._camera
+        return np.asarray(self._true.normalize(pixels) * (camera.fx, camera.fy) + (camera.cx, camera.cy))
+
+    def filed(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where pixels (N, 2) of the corrected image are in the image as it was."""
+        return self._true.project(np.column_stack([self._camera.normalize(pixels), np.ones(len(pixels))]))

@@ -47,6 +47,7 @@ class VoSettings(_Group):
     keyframe_tracks: float = Field(0.5, ge=0, le=1)  # share of the reference's points; below, likewise
     max_acceleration: PositiveFloat = 3.0  # m/s^2, standard deviation, of the motion model
     max_angular_acceleration: PositiveFloat = 1.0  # rad/s^2, likewise
+    calibrate: bool = True  # a calibration that is grossly wrong is corrected
 
 
 class ScaleSource(StrEnum):
@@ -200,7 +201,7 @@ class Config(_Group):
 # frames, 25 features and more.
 _PAPER: dict[str, Any] = {
     "features": {"association": "ncc", "octave": 0, "threshold": 20},
-    "vo": {"min_inliers": 25, "min_inlier_share": 0.3, "keyframe_parallax": 0.7},
+    "vo": {"min_inliers": 25, "min_inlier_share": 0.3, "keyframe_parallax": 0.7, "calibrate": False},
     "slam": {"ncc_threshold": 0.8, "association": "search"},
 }
 

@@ -35,6 +35,19 @@ class ScaleStep:
 
 
 @dataclass(frozen=True)
+class CalibrationEvidence:
+    """What images say of the calibration that they were rectified with, whatever the motion was.
+
+    Attributes:
+        information: (2, 2) of the logarithm of the focal length and of k1,
+        gradient: and (2,) of the log likelihood, where nothing is added to either.
+    """
+
+    information: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class OdometryStep:
     """The motion of one frame by odometry, with all that fusion needs to know of it.
 
@@ -46,6 +59,7 @@ class OdometryStep:
         awaited: Frames besides this one and the previous one, against which motions to come may be measured.
         measured: Whether images tell it; a motion model's has no noise in common with others.
         J_calibration: (6, 2) how it changes with the logarithm of the focal length and with k1, in its tangent.
+        calibration: (2,) what was added to these two of the file when it was measured.
     """
 
     previous: int
@@ -55,6 +69,7 @@ class OdometryStep:
     awaited: tuple[int, ...] = ()
     measured: bool = True
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
+    calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
 
 
 @dataclass(frozen=True)
@@ -73,6 +88,7 @@ class VoEstimate:
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         awaited: Indices of keyframes that were lost: a motion to come may start from one that is found again.
         J_calibration: (6, 2) how the motion changes with the logarithm of the focal length and with k1.
+        evidence: What the two views say of these; None where the motion is not by two views.
         times: Milliseconds by stage.
     """
 
@@ -87,6 +103,7 @@ class VoEstimate:
     parallax: float = math.nan
     awaited: tuple[int, ...] = ()
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
+    evidence: CalibrationEvidence | None = None
     times: dict[str, float] = field(default_factory=dict)
 
     @property

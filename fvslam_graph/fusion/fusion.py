@@ -9,7 +9,7 @@ from fvslam_graph.core.frame_result import Ending
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import LandmarkObservations
-from fvslam_graph.core.vo_estimate import OdometryStep
+from fvslam_graph.core.vo_estimate import CalibrationEvidence, OdometryStep
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.fusion.rules import FusionRule
 
@@ -60,6 +60,10 @@ class Fusion(ABC):
         fused = self._fused(pose, motion, observations)
         self._chain.anchor(fused)
         return fused
+
+    def calibrate(self, evidence: CalibrationEvidence) -> None:
+        """Take in what images say of the calibration of the file, if there is a variable for it."""
+        return
 
     def finish(self) -> Ending | None:
         """What all frames together say; None where nothing is smoothed."""

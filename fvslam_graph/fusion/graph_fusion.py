@@ -15,7 +15,7 @@ from fvslam_graph.core.frame_result import CalibrationEstimate, Ending
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.slam_estimate import LandmarkObservations
-from fvslam_graph.core.vo_estimate import OdometryStep
+from fvslam_graph.core.vo_estimate import CalibrationEvidence, OdometryStep
 from fvslam_graph.fusion.fusion import Fusion
 from fvslam_graph.graph.factor_graph import Graph
 
@@ -103,6 +103,10 @@ class GraphFusion(Fusion):
             self._step = self._step + self._left * (expected - self.reference.mean.translation())
         self._published[self._newest] = self.reference.mean.translation()
         return self.motion if fused is None else fused
+
+    def calibrate(self, evidence: CalibrationEvidence) -> None:
+        """Add what images say of the calibration of the file."""
+        self.graph.add_calibration(evidence)
 
     def finish(self) -> Ending:
         """All poses by all measurements, as far as these determine them."""

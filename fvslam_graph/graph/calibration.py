@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera, Distortion
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.frame_result import CalibrationEstimate
+from fvslam_graph.core.vo_estimate import CalibrationEvidence
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,15 @@ class SelfCalibration:
         noise = gtsam.noiseModel.Diagonal.Sigmas(self._sigmas)
         tails = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(TAILS), noise)
         return gtsam.PriorFactorCal3Bundler(CALIBRATION, self.start, tails)
+
+    def measured(self, evidence: CalibrationEvidence) -> gtsam.NonlinearFactor:
+        """A linear factor of what images say, about the file's calibration."""
+        root = np.linalg.cholesky(evidence.information + EXACT_SIGMA * np.eye(2)).T
+        values = gtsam.Values()
+        values.insert(CALIBRATION, self.start)
+        right = np.linalg.solve(root.T, evidence.gradient)
+        linear = gtsam.JacobianFactor(CALIBRATION, root @ self.jacobian(), right, gtsam.noiseModel.Unit.Create(2))
+        return gtsam.LinearContainerFactor(linear, values)
 
     def step(self, value: gtsam.Cal3Bundler) -> Array:
         """The change that a value makes to the logarithm of the focal length and to k1 of the file, (2,)."""

@@ -17,7 +17,7 @@ from fvslam_graph.core.frame_result import CalibrationEstimate
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.core.vo_estimate import OdometryStep
+from fvslam_graph.core.vo_estimate import CalibrationEvidence, OdometryStep
 from fvslam_graph.graph.calibration import (
     CALIBRATION,
     calibration_estimate,
@@ -108,6 +108,11 @@ class Graph:
         if math.isnan(self._start_height):
             self._start_height = height
         self.add(height_factor(len(self._poses) - 1, height - self._start_height, math.sqrt(2) * sigma, down))
+
+    def add_calibration(self, evidence: CalibrationEvidence) -> None:
+        """What images say of the calibration of the file, apart from the motions and landmarks of this graph."""
+        if self._update.has(CALIBRATION):
+            self.add(self._landmark_factors.calibration.measured(evidence))
 
     def add(self, factor: gtsam.NonlinearFactor) -> None:
         """Anything else that is known of poses, see `factors`; it takes effect when the graph is solved next."""

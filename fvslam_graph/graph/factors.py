@@ -161,8 +161,9 @@ def calibrated_motion_factors(
     J_calibration = step.J_calibration @ calibration.jacobian()
     tight = np.linalg.inv(np.linalg.cholesky(TIGHT * _counted(step.prev_T_cur, settings)))
     unit = gtsam.noiseModel.Unit.Create(6)
+    known = tight @ step.J_calibration @ step.calibration  # is in the motion already
     linear = gtsam.JacobianFactor(
-        filed, tight, pose_key(index), -tight, CALIBRATION, tight @ J_calibration, np.zeros(6), unit
+        filed, tight, pose_key(index), -tight, CALIBRATION, tight @ J_calibration, known, unit
     )
     return [
         gtsam.BetweenFactorPose3(pose_key(step.previous), filed, measured, noise),

@@ -19,7 +19,7 @@ from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.tracks import FeatureTracker, Tracks
 from fvslam_graph.core.trajectory import Status
-from fvslam_graph.core.vo_estimate import ScaleStep, VoEstimate
+from fvslam_graph.core.vo_estimate import CalibrationEvidence, ScaleStep, VoEstimate
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
@@ -54,6 +54,7 @@ class _Motion:
         scale: Of the baseline, where it was estimated.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         J_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
+        evidence: What two views say of these.
     """
 
     keyframe_T_cur: GaussianPose
@@ -62,6 +63,7 @@ class _Motion:
     scale: ScaleStep | None = None
     parallax: float = math.nan
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
+    evidence: CalibrationEvidence | None = None
 
 
 class VisualOdometry:
@@ -153,6 +155,16 @@ class VisualOdometry:
         elif not len(self._map):
             self._map = motion.map  # in whose scale motions from this keyframe go on
         return estimate
+
+    def recalibrate(self, frame: Frame, estimate: VoEstimate) -> None:
+        """Go on with images that are rectified otherwise.
+
+        Args:
+            frame: The newest frame with its image as it is rectified from now on.
+            estimate: Its estimate, with the tracks where they are in that image.
+        """
+        self._lost = LostKeyframes()
+        self._set_keyframe(frame, estimate.tracks, estimate.map)
 
     def _measure(self, frame: Frame, tracks: Tracks) -> _Motion | None:
         """The motion that the image shows, and how much parallax it has; None where nothing fits."""
@@ -252,7 +264,8 @@ class VisualOdometry:
             views = TwoViews(self._keyframe, frame, relative_pose, rays(self.camera, tracks.keyframe), unit)
             scale, known = self._scale.estimate(views, self._map, fallback, self._rng)
         J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
-        return _Motion(metric_pose(relative_pose, scale.length), tracks, known, scale, J_calibration=J_calibration)
+        pose, evidence = metric_pose(relative_pose, scale.length), relative_pose.evidence
+        return _Motion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence)
 
     def _locate(self, tracks: Tracks, known: MetricMap) -> gtsam.Pose3 | None:
         """Roughly where the camera is among the points of known depth."""
@@ -310,7 +323,14 @@ class VisualOdometry:
         seen = rays(self.camera, motion.tracks.keyframe[theirs])
         depths = motion.map.depths[mine].seen_from(seen, motion.keyframe_T_cur.mean)
         here = MetricMap(depths, motion.map.variance)
-        return replace(estimate, tracks=motion.tracks, scale=motion.scale, map=here, J_calibration=motion.J_calibration)
+        return replace(
+            estimate,
+            tracks=motion.tracks,
+            scale=motion.scale,
+            map=here,
+            J_calibration=motion.J_calibration,
+            evidence=motion.evidence,
+        )
 
     def _handle_lost(self, frame: Frame) -> VoEstimate:
         """The image does not fit the keyframe: a bad image is passed over, a changed scene becomes the keyframe."""

@@ -16,6 +16,7 @@ from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.core.vo_estimate import CalibrationEvidence
 from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, Rays, calibration_jacobian, epipolar_distance
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
@@ -47,6 +48,7 @@ class RelativePose:
         inliers: (N,) bool, which of the tracks agree.
         noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
         J_calibration: (5, 2) how the pose changes with the logarithm of the focal length and with k1.
+        evidence: What the views say of these two; None where they were not asked.
     """
 
     rotation: gtsam.Rot3
@@ -55,6 +57,7 @@ class RelativePose:
     inliers: NDArray[np.bool_]
     noise: float
     J_calibration: NDArray[np.float64]
+    evidence: CalibrationEvidence | None = None
 
 
 @dataclass(frozen=True)
@@ -133,10 +136,8 @@ def estimate_relative_pose(
     covariance = m_estimator_covariance(distance, jacobian, KERNEL * best.noise, cells)
     if covariance is None:
         return None
-    weighted = best.jacobian[told] / (1 + (best.distance[told, None] / (KERNEL * best.noise)) ** 2)
-    pull = weighted.T @ calibration_jacobian(matches.rays, best.rotation, best.direction)[told]
-    J_calibration = -np.linalg.inv(weighted.T @ best.jacobian[told]) @ pull
-    return RelativePose(best.rotation, best.direction, covariance, inliers, best.noise, J_calibration)
+    J_calibration, evidence = best.calibration(matches, told)
+    return RelativePose(best.rotation, best.direction, covariance, inliers, best.noise, J_calibration, evidence)
 
 
 @dataclass(frozen=True)
@@ -192,6 +193,20 @@ class _Fit:
         turned = np.linalg.norm(gtsam.Rot3.Logmap(self.rotation.between(rotation)))
         off = np.linalg.norm(self.direction - direction)
         return bool(turned < SAME and off < 10 * SAME)
+
+    def calibration(
+        self, matches: _Matches, told: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], CalibrationEvidence]:
+        """How the pose changes with the calibration, (5, 2), and what tracks `told` (N,) say of it beside the pose."""
+        distance, jacobian = self.distance[told], self.jacobian[told]
+        columns = calibration_jacobian(matches.rays, self.rotation, self.direction)[told]
+        weight = 1 / (1 + (distance / (KERNEL * self.noise)) ** 2)
+        pull = jacobian.T @ (weight[:, None] * columns)
+        J_calibration = -np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian)) @ pull
+        information = columns.T @ (weight[:, None] * columns) + pull.T @ J_calibration
+        gradient = -columns.T @ (weight * distance)
+        evidence = CalibrationEvidence(information / self.noise**2, gradient / self.noise**2)
+        return np.asarray(J_calibration, float), evidence
 
     def cost(self, matches: _Matches, noise: float) -> float:
         """Cauchy cost of the epipolar distances, and of how the depths depart from those known, up to their scale."""

@@ -1,0 +1,133 @@
+"""A calibration that is found wrong while the camera moves: focal length and radial distortion, by pairs of images."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.core.camera import Camera, Recalibration
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.vo_estimate import CalibrationEvidence
+
+Array = NDArray[np.float64]
+
+PRIOR_SIGMAS = np.array([0.01, 0.05])  # of the logarithm of the focal length and of k1, as files err
+MIN_PAIRS = 5
+CERTAIN = 5.0  # standard deviations from what the file says
+GROSS = 3.0  # log likelihood that a pair of images gains in the mean
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class CalibrationCorrection:
+    """What is to be added to the calibration of the file from now on.
+
+    Attributes:
+        mean: (2,) to the logarithm of the focal length and to k1.
+        sigmas: (2,) standard deviations, by how much pairs of images differ.
+        news: What pairs say of it that had no part in the correction before.
+    """
+
+    mean: Array
+    sigmas: Array
+    news: CalibrationEvidence
+
+
+class OnlineCalibration:
+    """Sums up what pairs of images say of the calibration, and rectifies images again where it is wrong.
+
+    A pair's residuals also hold what neighbouring tracks share, which passes for a small error of the calibration. So
+    the file is believed until its error is certain, and so large that it shows in single pairs.
+
+    Args:
+        camera: As its file has it, undistorted.
+        enabled: Whether the calibration is corrected at all.
+    """
+
+    def __init__(self, camera: Camera, enabled: bool = True) -> None:
+        self.applied = np.zeros(2)  # what is added to the file's
+        self._camera, self._enabled = camera, enabled
+        self._before: Recalibration | None = None
+        self._now: Recalibration | None = None
+        self._pairs, self._next = _Pairs(), MIN_PAIRS
+        self._known = CalibrationEvidence(np.zeros((2, 2)), np.zeros(2))  # what had a part in the last correction
+
+    def rectified(self, frame: Frame) -> Frame:
+        """A frame as its file has it, by the calibration as it is known now."""
+        if self._now is None or frame.image is None:
+            return frame
+        return replace(frame, image=self._now(frame.image))
+
+    def filed(self, pixels: Array) -> Array:
+        """Where pixels (N, 2) of a rectified image are in the image of the file."""
+        return pixels if self._now is None else self._now.filed(pixels)
+
+    def moved(self, pixels: Array) -> Array:
+        """Where pixels (N, 2) of an image as it was rectified before the last correction are since."""
+        before = pixels if self._before is None else self._before.filed(pixels)
+        return before if self._now is None else self._now.corrected(before)
+
+    def add(self, evidence: CalibrationEvidence | None) -> CalibrationCorrection | None:
+        """Take in a pair of images, if there is one; the correction that follows, or None where all stays as it is."""
+        if evidence is None or not self._enabled:
+            return None
+        self._pairs.add(evidence.information, evidence.gradient + evidence.information @ self.applied)
+        if self._pairs.count < self._next:
+            return None
+        correction = self._pairs.correction(self._known)
+        if self._now is None:
+            gain = 0.5 * correction.mean @ self._pairs.information @ correction.mean / self._pairs.count
+            if gain < GROSS or not np.any(np.abs(correction.mean) > CERTAIN * correction.sigmas):
+                return None
+            self._warn(correction)
+            self._pairs = _Pairs()  # these were linearised where the calibration was wrong
+        else:
+            self._known = CalibrationEvidence(self._pairs.information.copy(), self._pairs.score.copy())
+            self._next = 2 * self._pairs.count
+        self.applied = correction.mean
+        self._before, self._now = self._now, Recalibration(self._camera, *correction.mean)
+        return correction
+
+    def _warn(self, correction: CalibrationCorrection) -> None:
+        focal, k1 = self._camera.fx * math.exp(correction.mean[0]), correction.mean[1]
+        _log.warning(
+            "the images do not fit their calibration; from here on they are rectified with a focal length of about "
+            "%.1f pixels and k1 = %.4f +- %.4f; calibrate the camera",
+            *(focal, k1, correction.sigmas[1]),
+        )
+
+
+class _Pairs:
+    """Sums over pairs of images: what they say of the calibration of the file, and how they differ."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.information, self.score = np.zeros((2, 2)), np.zeros(2)
+        # Second moments of both.
+        self._scores, self._mixed, self._informations = np.zeros((2, 2)), np.zeros((2, 2, 2)), np.zeros((2, 2, 2, 2))
+
+    def add(self, information: Array, score: Array) -> None:
+        """Take in a pair."""
+        self.count += 1
+        self.information += information
+        self.score += score
+        self._scores += np.outer(score, score)
+        self._mixed += np.multiply.outer(information, score)
+        self._informations += np.multiply.outer(information, information)
+
+    def correction(self, known: CalibrationEvidence) -> CalibrationCorrection:
+        """The most likely one; pairs differ by more than their residuals say, and all count for less."""
+        inverse = np.linalg.inv(self.information + np.diag(PRIOR_SIGMAS**-2))
+        mean = inverse @ self.score
+        mixed = np.einsum("ijk,j->ik", self._mixed, mean)
+        spread = self._scores - mixed - mixed.T + np.einsum("ijkl,j,l->ik", self._informations, mean, mean)
+        dispersion = max(float(np.trace(spread @ inverse)) / 2 * self.count / (self.count - 1), 1.0)
+        news = CalibrationEvidence(
+            (self.information - known.information) / dispersion, (self.score - known.gradient) / dispersion
+        )
+        return CalibrationCorrection(mean, np.sqrt(dispersion * np.diag(inverse)), news)
