@@ -119,6 +119,8 @@ class FrameEstimator:
         if odometry is not None and (correction := self._calibration.add(odometry.evidence)):
             slam = self._recalibrate(filed, odometry, correction, slam)
 
+        if status is Status.TRACKED and odometry is not None and not odometry.scale_known:
+            status = Status.UNSCALED
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
         measures = _measures(config, odometry, slam)

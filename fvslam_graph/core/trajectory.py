@@ -23,6 +23,7 @@ class Status(StrEnum):
     """How the pose of a frame came about."""
 
     TRACKED = "tracked"  # estimated from the image
+    UNSCALED = "unscaled"  # likewise, but nothing tells how long the motion is: the scale was lost and is a guess
     STATIC = "static"  # the image did not move
     COASTED = "coasted"  # too little to see, or not to be believed: the motion model carried on
     SKIPPED = "skipped"  # no image could be read, or none that is new: the motion model carried on

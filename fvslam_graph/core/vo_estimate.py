@@ -86,6 +86,8 @@ class VoEstimate:
         scale: Of the baseline between the two, and where it comes from; None where none was estimated.
         map: What is known of the depths of these tracks in this frame.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
+        scale_known: Whether its length is in the scale of the run (metres, or that of the first motion); else it is a
+            guess.
         awaited: Indices of keyframes that were lost: a motion to come may start from one that is found again.
         J_calibration: (6, 2) how the motion changes with the logarithm of the focal length and with k1.
         evidence: What the two views say of these; None where the motion is not by two views.
@@ -101,6 +103,7 @@ class VoEstimate:
     scale: ScaleStep | None = None
     map: MetricMap = field(default_factory=MetricMap.empty)
     parallax: float = math.nan
+    scale_known: bool = True
     awaited: tuple[int, ...] = ()
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
     evidence: CalibrationEvidence | None = None

@@ -22,12 +22,14 @@ class LostKeyframe:
         map: What is known of the depths of its points.
         tracker: Finds these points.
         stamp: Until when it was tracked.
+        scale_known: Whether the map is in the scale of the run.
     """
 
     frame: Frame
     map: MetricMap
     tracker: FeatureTracker
     stamp: float
+    scale_known: bool
 
 
 class LostKeyframes:

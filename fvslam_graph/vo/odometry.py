@@ -41,6 +41,7 @@ ROTATION_AMBIGUITY = 0.1
 MIN_TRACK_RATIO = 2  # times the inliers needed: fewer tracks, and none is left apart
 MAX_FAILURES = 3  # textured images in a row that do not fit the keyframe before it is given up
 GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
+CARRIED = 0.25  # likewise, up to which the speed carries a scale over images without a map: within a factor of 1.6
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,8 @@ class VisualOdometry:
         if config.scale.source is ScaleSource.PLANE and ground is not None:
             aligner = GroundAligner(camera, ground.normal, ground.normal_sigma, config.scale.ground)
         self._scale = MetricScale(config.scale, aligner, true_baseline)
+        self._relative = config.scale.relative
+        self._scale_known: bool | None = None  # None before the first map
         self._motion_model = ConstantVelocity(config.vo)
         self._gate = MotionGate()
         self._stopwatch = Stopwatch()
@@ -318,6 +321,8 @@ class VisualOdometry:
         self._motion_model.observe(motion.keyframe_T_cur.mean, seconds, motion.map.variance, passed)
         self._keyframe_T_last, self._last_stamp = motion.keyframe_T_cur, frame.stamp
         self._seen, self._failures = motion.tracks, 0
+        if motion.scale is not None:
+            self._scale_known = self._keeps_scale(motion.scale)
         estimate = self._estimate(frame, motion.keyframe_T_cur, Status.TRACKED)
         mine, theirs = motion.map.depths.match(motion.tracks.ids)
         seen = rays(self.camera, motion.tracks.keyframe[theirs])
@@ -331,6 +336,19 @@ class VisualOdometry:
             J_calibration=motion.J_calibration,
             evidence=motion.evidence,
         )
+
+    def _keeps_scale(self, scale: ScaleStep) -> bool:
+        """Whether lengths are in the scale of the run from here on.
+
+        A measurement tells it, the map carries it, and over a map that was lost, the speed may; a guess does not. The
+        first scale of a run that is relative is a convention.
+        """
+        if scale.measured is not None:
+            return not self._gate.insisted
+        if self._scale_known is None:
+            return self._relative
+        carried = len(self._map) > 0 or scale.predicted.variance < CARRIED
+        return self._scale_known and carried and not self._gate.insisted
 
     def _handle_lost(self, frame: Frame) -> VoEstimate:
         """The image does not fit the keyframe: a bad image is passed over, a changed scene becomes the keyframe."""
@@ -346,7 +364,8 @@ class VisualOdometry:
             return estimate
         if self._keyframe is not None and len(self._map) >= self.settings.min_inliers:
             tracker = copy(self._tracker)
-            self._lost.add(LostKeyframe(self._keyframe, self._map, tracker, self._last_stamp))
+            known = self._scale_known is not False
+            self._lost.add(LostKeyframe(self._keyframe, self._map, tracker, self._last_stamp, known))
         return replace(self._restart(estimate, frame), awaited=self._lost.indices)
 
     def _found_again(self, frame: Frame) -> VoEstimate | None:
@@ -356,6 +375,7 @@ class VisualOdometry:
             if motion is not None:
                 self._lost = LostKeyframes()
                 self._keyframe, self._last_stamp = keyframe.frame, keyframe.stamp
+                self._scale_known = keyframe.scale_known
                 estimate = self._accept(frame, motion)
                 self._set_keyframe(frame, motion.tracks, estimate.map)
                 return estimate
@@ -416,5 +436,11 @@ class VisualOdometry:
     def _estimate(self, frame: Frame, keyframe_T_cur: GaussianPose, status: Status) -> VoEstimate:
         keyframe = self._first if self._keyframe is None else self._keyframe.index
         return VoEstimate(
-            frame.index, keyframe, keyframe_T_cur, status, awaited=self._lost.indices, times=self._stopwatch.times
+            frame.index,
+            keyframe,
+            keyframe_T_cur,
+            status,
+            scale_known=self._scale_known is not False,
+            awaited=self._lost.indices,
+            times=self._stopwatch.times,
         )

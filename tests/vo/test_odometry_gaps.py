@@ -1,5 +1,6 @@
 """Visual odometry where images are missing, tell nothing or show something else."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import cv2
@@ -13,6 +14,8 @@ from fvslam_graph.core.trajectory import Status
 from fvslam_graph.features.detection import detect
 from fvslam_graph.features.texture import Texture
 from fvslam_graph.vo.odometry import MAX_FAILURES
+
+from .conftest import texture
 
 
 def statuses(estimates) -> list[Status]:
@@ -110,3 +113,15 @@ def test_a_lost_reference_is_found_again(slow_flight):
     assert np.linalg.norm(slow_flight.errors([back])[0, 3:]) < 0.3
     assert np.trace(back.prev_T_cur.covariance) < 0.01 * np.trace(estimates[12].prev_T_cur.covariance)
     assert all(estimate.previous >= 14 for estimate in estimates[15:])
+
+
+@pytest.mark.parametrize("source", ["map", "plane"])
+def test_a_scale_that_is_a_guess_is_no_number_like_others(flight, source):
+    """After half a minute of something else the speed is forgotten, too. The ground tells metres again, or nothing."""
+    noise = texture(flight.sequence.camera, 1)
+    images = {i: np.roll(noise, 90 * i, axis=1) for i in range(4, 10)}
+    late = [replace(frame, stamp=frame.stamp + 30 * (frame.index > 7)) for frame in flight.frames]
+    estimates = flight._replace(frames=late).run(images, settings=(f"scale.source={source}",))
+    assert all(estimate.scale_known for estimate in estimates[:4])
+    assert Status.REINITIALISED in statuses(estimates[4:10]) and statuses(estimates[-2:]) == [Status.TRACKED] * 2
+    assert [estimate.scale_known for estimate in estimates[-2:]] == [source == "plane"] * 2
