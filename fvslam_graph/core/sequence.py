@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera, Distortion, Image, Rectifier
 from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.sensors import SensorSeries
 from fvslam_graph.core.trajectory import Trajectory
 
 MAX_RESIDUAL_K1 = 0.3  # k1; more is no rest that a calibration has left
@@ -101,6 +102,7 @@ class Sequence:
         load: Reads image i, 0 <= i < N, as (H, W) uint8 of the camera's size; None where it cannot be decoded.
         ground_truth: world_T_camera of this camera; its stamps need not be those of the images.
         ground: What is known about the ground plane.
+        sensors: What other sensors have measured over the whole recording.
         notes: Gaps and oddities found on opening, one sentence each.
         source: What `open_sequence` takes to open it again; None where that is not known.
     """
@@ -112,6 +114,7 @@ class Sequence:
     load: Callable[[int], Image | None]
     ground_truth: Trajectory | None = None
     ground: Ground | None = None
+    sensors: tuple[SensorSeries, ...] = ()
     notes: tuple[str, ...] = ()
     source: dict[str, Any] | None = None
 

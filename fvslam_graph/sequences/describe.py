@@ -18,22 +18,22 @@ def describe(sequence: Sequence) -> list[tuple[str, str]]:
     return [
         ("name", sequence.name),
         ("format", sequence.format),
-        ("frames", _time(sequence)),
+        ("frames", _time(sequence.stamps)),
         ("images", f"{camera.width}x{camera.height} pixels, gray, rectified"),
         ("camera", f"fx {camera.fx:.2f}, fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} pixels"),
         ("ground truth", _ground_truth(sequence.ground_truth, sequence.stamps)),
         ("scale", _ground(sequence.ground)),
+        *(("sensor", f"{series.kind} of {series.source}: {_time(series.stamps)}") for series in sequence.sensors),
         ("gaps", _gaps(sequence.stamps)),
         *(("note", note) for note in sequence.notes),
     ]
 
 
-def _time(sequence: Sequence) -> str:
-    if len(sequence) < 2:
-        return str(len(sequence))
-    duration = sequence.stamps[-1] - sequence.stamps[0]
-    rate = 1 / np.median(np.diff(sequence.stamps))
-    return f"{len(sequence)} in {duration:.1f} s, {rate:.1f} Hz"
+def _time(stamps: NDArray[np.float64]) -> str:
+    if len(stamps) < 2:
+        return str(len(stamps))
+    rate = 1 / np.median(np.diff(stamps))
+    return f"{len(stamps)} in {stamps[-1] - stamps[0]:.1f} s, {rate:.1f} Hz"
 
 
 def _ground_truth(truth: Trajectory | None, stamps: NDArray[np.float64]) -> str:

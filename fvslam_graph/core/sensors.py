@@ -1,0 +1,51 @@
+"""What other sensors than the camera have measured in a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_GAP = 0.5  # seconds between two readings between which nothing is interpolated
+
+
+class SensorKind(StrEnum):
+    """What a series measures, with its columns and units."""
+
+    GNSS = "gnss"  # latitude, longitude (degrees), altitude (m), all WGS84; sigmas in metres north, east, up
+    RANGE = "range"  # distance along the beam, m
+    HEIGHT = "height"  # above the place of take-off, m
+    PRESSURE = "pressure"  # of the air, Pa
+
+
+@dataclass(frozen=True)
+class SensorSeries:
+    """Readings of one sensor over time.
+
+    Attributes:
+        kind: What is measured; `SensorKind` has the columns and units of each.
+        stamps: (N,) seconds on the clock of the images, strictly increasing.
+        values: (N, D) finite readings.
+        sigmas: (N, D) standard deviations; NaN where unknown.
+        source: Where the readings come from: a topic, a file.
+    """
+
+    kind: SensorKind
+    stamps: NDArray[np.float64]
+    values: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+    source: str
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def interpolate(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Readings (M, D) at other times (M,), on the straight line between neighbours; NaN outside and in gaps."""
+        after = np.clip(np.searchsorted(self.stamps, stamps), 0, len(self) - 1)
+        before = np.maximum(after - 1, 0)
+        known = (stamps >= self.stamps[0]) & (stamps <= self.stamps[-1])
+        known &= (self.stamps[after] - self.stamps[before] <= MAX_GAP) | (self.stamps[after] == stamps)
+        columns = [np.interp(stamps, self.stamps, column) for column in self.values.T]
+        return np.where(known[:, None], np.column_stack(columns), np.nan)
