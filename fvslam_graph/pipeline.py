@@ -11,6 +11,7 @@ import numpy as np
 from fvslam_graph.core.config import Config, ScaleSource
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.frame_result import FrameResult
+from fvslam_graph.core.sensors import SensorKind
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.estimator import frame_estimator
 from fvslam_graph.runs.results import Run, collect
@@ -37,11 +38,12 @@ def run_sequence(
     """
     config = resolve_config(config, sequence)
     metadata = run_metadata(sequence, config)
+    gnss = next((series for series in sequence.sensors if series.kind is SensorKind.GNSS), None)
     estimator = frame_estimator(sequence, config)
     results, finish = watch(estimator.through(sequence)), estimator.finish
     if out is None:
-        return collect(results, config, metadata, sequence.ground_truth, finish)
-    with RunWriter(out, config, metadata, sequence.ground_truth, finish) as writer:
+        return collect(results, config, metadata, sequence.ground_truth, gnss, finish)
+    with RunWriter(out, config, metadata, sequence.ground_truth, gnss, finish) as writer:
         for result in results:
             writer.add(result)
     return read_run(out)
@@ -64,12 +66,15 @@ def resolve_config(config: Config, sequence: Sequence) -> Config:
 
 def run_metadata(sequence: Sequence, config: Config) -> dict[str, Any]:
     """The entries of run.json about sequence and mode."""
+    camera = sequence.camera
     return {
         "mode": config.mode.value,
         "sequence": sequence.name,
         "format": sequence.format,
         "frames": len(sequence),
         "source": sequence.source,
+        "camera": {"width": camera.width, "height": camera.height}
+        | {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")},
         "scale_source": config.scale.source.value,
         "ground": None if sequence.ground is None else sequence.ground.source,
         "down": None if sequence.ground is None else sequence.ground.normal,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from fvslam_graph.core.frame_result import Ending, FrameResult
+from fvslam_graph.core.sensors import SensorSeries
 from fvslam_graph.core.trajectory import Trajectory
 
 
@@ -46,7 +47,9 @@ class Run:
         frames: Columns of frames.csv, (N,) each.
         config: The effective settings.
         info: What run.json holds; see `RunWriter`.
-        relatives: None where the run did not come to its end.
+        relatives: None where the run did not come to its end,
+        pose_covariances: (N, 6, 6) of the online poses, in their tangents: likewise.
+        gnss: Fixes of a receiver, where the recording has them.
         folder: Where it is written; None for a run in memory.
     """
 
@@ -58,6 +61,8 @@ class Run:
     config: dict[str, Any]
     info: dict[str, Any]
     relatives: Relatives | None
+    pose_covariances: NDArray[np.float64] | None = None
+    gnss: SensorSeries | None = None
     folder: Path | None = None
 
     @property
@@ -79,6 +84,7 @@ def collect(
     config: BaseModel,
     metadata: Mapping[str, Any],
     ground_truth: Trajectory | None = None,
+    gnss: SensorSeries | None = None,
     finish: Callable[[], Ending | None] = lambda: None,
 ) -> Run:
     """A run in memory, from what an estimator says frame by frame; the arguments are those of `RunWriter`."""
@@ -102,4 +108,6 @@ def collect(
             np.array([result.relative.mean.matrix() for result in results]),
             np.array([result.relative.covariance for result in results]),
         ),
+        pose_covariances=np.array([result.pose.covariance for result in results]),
+        gnss=gnss,
     )

@@ -23,14 +23,17 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, NonNegativeInt, ValidationError
 
-from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.errors import CameraError, ResultsError
 from fvslam_graph.core.files import replacing, write_file, write_json, writing
 from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES, Ending, FrameResult
+from fvslam_graph.core.sensors import SensorSeries
 from fvslam_graph.core.slam_estimate import SlamEstimate
 from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
 from fvslam_graph.core.trajectory import Status, Trajectory, kitti_line, tum_line
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
+from fvslam_graph.runs.gnss_file import read_fixes, write_fixes
 from fvslam_graph.runs.landmark_table import LANDMARK_COLUMNS, landmark_rows
 from fvslam_graph.runs.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind_of
 from fvslam_graph.runs.provenance import peak_memory_mb, provenance
@@ -40,7 +43,7 @@ ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
 SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"
 GROUND_TRUTH, FRAMES, COVARIANCES = "ground_truth.tum", "frames.csv", "covariances.npz"
 CONFIG, METRICS_FILE, REFERENCE = "config.yaml", "metrics.json", "reference.tum"
-LANDMARKS = "landmarks.csv"
+LANDMARKS, GNSS_FILE = "landmarks.csv", "gnss.csv"
 GRAPH_FILES = (G2O, LANDMARKS_PLY, FACTORS, VALUES)
 
 ROUNDING = 1e-6  # share of its largest variance by which a covariance may be negative
@@ -50,7 +53,7 @@ UNFINISHED = "unfinished"  # a folder for a new run where a finished one is kept
 _OURS = (
     *(ONLINE, ONLINE_KITTI, SMOOTHED, SMOOTHED_KITTI, GROUND_TRUTH, FRAMES, COVARIANCES, CONFIG, INFO),
     *GRAPH_FILES,
-    *(LANDMARKS, METRICS_FILE, REFERENCE),
+    *(LANDMARKS, GNSS_FILE, METRICS_FILE, REFERENCE),
     *(f"{error}_{part}.zip" for error in ("ape", "rpe", "rpe_1m") for part in ("trans", "rot")),
     *(f"row_{align}.json" for align in ("none", "origin", "se3", "sim3")),
     *(f"plot_{name}.{kind}" for name in ("trajectory", "speed", "features", "error") for kind in ("png", "pdf")),
@@ -74,8 +77,9 @@ class RunWriter:
         config: The effective settings.
         metadata: Goes into run.json. Known to evaluation and plots: `sequence` (name), `frames` (how many the sequence
             has), `mode`, `scale_source`, `down` (3,), the direction of gravity in the first camera frame (None:
-            unknown), and `source`, what `open_sequence` takes to open the recording again.
-        ground_truth: Kept with the run, so that it can be evaluated without the recording.
+            unknown), and `source`, what `open_sequence` takes to open the recording again; and to exports, `camera`.
+        ground_truth: Kept with the run, so that it can be evaluated without the recording,
+        gnss: and fixes of a receiver, so that it can be put on a map.
         finish: Called at the end, also of a run that is interrupted: what all frames together say.
 
     Raises:
@@ -88,12 +92,14 @@ class RunWriter:
         config: BaseModel,
         metadata: Mapping[str, Any],
         ground_truth: Trajectory | None = None,
+        gnss: SensorSeries | None = None,
         finish: Callable[[], Ending | None] = lambda: None,
     ) -> None:
         self.folder = folder
         self._config = config
         self._metadata = dict(metadata)
         self._ground_truth = ground_truth
+        self._gnss = gnss
         self._results: list[FrameResult] = []
         self._landmarks: TextIO | None = None
         self._finish = finish
@@ -112,6 +118,9 @@ class RunWriter:
                 write_file(self._place / CONFIG, settings)
                 if self._ground_truth is not None:
                     _write_tum(self._place / GROUND_TRUTH, self._ground_truth)
+                if self._gnss is not None:
+                    with replacing(self._place / GNSS_FILE) as temporary:
+                        write_fixes(temporary, self._gnss)
                 self._trajectory = stack.enter_context((self._place / ONLINE).open("w"))
                 self._frames = stack.enter_context((self._place / FRAMES).open("w", newline=""))
                 self._write_info("running")  # last: from here on, this is a run, and all that one has is there
@@ -230,7 +239,9 @@ def read_run(folder: Path) -> Run:
     frames = _parsed(folder / FRAMES, _read_frames)
     stamps = frames.get("stamp", np.empty(0))
     written = Trajectory.read_tum(folder / ONLINE, unfinished=True) if len(stamps) else Trajectory(stamps, ())
-    relatives = _parsed(folder / COVARIANCES, _read_relatives) if (folder / COVARIANCES).exists() else None
+    relatives, covariances = None, None
+    if (folder / COVARIANCES).exists():
+        relatives, covariances = _parsed(folder / COVARIANCES, _read_covariances)
     # Where the run was stopped between two writes, one file is a frame ahead of another.
     count = min(len(written), len(stamps), len(stamps if relatives is None else relatives.previous))
     if not np.allclose(written.stamps[:count], stamps[:count], rtol=0, atol=1e-6):
@@ -244,6 +255,8 @@ def read_run(folder: Path) -> Run:
         config=_parsed(folder / CONFIG, _read_config),
         info=info,
         relatives=relatives and relatives.first(count),
+        pose_covariances=None if covariances is None else covariances[:count],
+        gnss=read_fixes(folder / GNSS_FILE) if (folder / GNSS_FILE).exists() else None,
         folder=folder,
     )
 
@@ -305,6 +318,7 @@ class _Info(BaseModel):
     frames: NonNegativeInt | None = None
     down: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_no_zero)] | None = None
     source: dict[str, Any] | None = None
+    camera: Camera | None = None
     totals: dict[str, Any] = {}
 
 
@@ -315,6 +329,8 @@ def _read_info(path: Path) -> dict[str, Any]:
         _Info.model_validate_json(text)
     except ValidationError as error:
         raise ValueError(complaint(error, _Info, "entry")) from None
+    except CameraError as error:
+        raise ValueError(error) from None
     return info
 
 
@@ -338,25 +354,29 @@ def _read_frames(path: Path) -> dict[str, NDArray[Any]]:
     return frames
 
 
-def _read_relatives(path: Path) -> Relatives:
+def _read_covariances(path: Path) -> tuple[Relatives, NDArray[np.float64]]:
+    """The relative motions, and the covariances (N, 6, 6) of the poses."""
     if not path.is_file():  # a pipe would wait for ever
         raise ValueError("it is no file")
     with np.load(path) as arrays:
         found = Relatives(arrays["previous"], arrays["prev_T_cur"], arrays["covariances"])
+        of_poses = arrays["pose_covariances"]
     count = len(found.previous)
-    if (found.previous.shape, found.prev_T_cur.shape, found.covariances.shape) != (
+    if (found.previous.shape, found.prev_T_cur.shape, found.covariances.shape, of_poses.shape) != (
         (count,),
         (count, 4, 4),
+        (count, 6, 6),
         (count, 6, 6),
     ) or not all(0 <= previous <= frame for frame, previous in enumerate(found.previous)):
         raise ValueError("its arrays do not fit each other")
     if not np.isfinite(found.prev_T_cur).all():
         raise ValueError("it has a motion that is not finite")
-    known = np.flatnonzero(np.isfinite(found.covariances).all(axis=(1, 2)))
-    values = np.linalg.eigvalsh(found.covariances[known])
-    if negative := known[values[:, 0] < -ROUNDING * np.abs(values).max(axis=1)].tolist():
-        raise ValueError(f"the covariance of frame {negative[0]} has a negative variance")
-    return found
+    for covariances in (found.covariances, of_poses):
+        known = np.flatnonzero(np.isfinite(covariances).all(axis=(1, 2)))
+        values = np.linalg.eigvalsh(covariances[known])
+        if negative := known[values[:, 0] < -ROUNDING * np.abs(values).max(axis=1)].tolist():
+            raise ValueError(f"the covariance of frame {negative[0]} has a negative variance")
+    return found, of_poses
 
 
 def _read_optional(path: Path) -> Trajectory | None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera, Rectifier
+from fvslam_graph.core.sensors import SensorKind, SensorSeries
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.calibration import projection_camera
@@ -73,7 +74,9 @@ def read(path: Path) -> Sequence:
         notes += images.notes(camera)
 
     camera_T_reference = _camera_T_reference(calibration, which)
-    ground_truth, truth_notes = _ground_truth(drive, camera_T_reference, origin, stamps)
+    packet_stamps, packets, packet_notes = _packets(drive, origin, stamps)
+    ground_truth, truth_notes = _ground_truth(drive, camera_T_reference, packet_stamps, packets)
+    fixes = SensorSeries(SensorKind.GNSS, packet_stamps, packets[:, :3], np.full((len(packets), 3), np.nan), "OXTS")
     return Sequence(
         name=drive.name,
         format=FORMAT,
@@ -82,7 +85,8 @@ def read(path: Path) -> Sequence:
         load=load,
         ground_truth=ground_truth,
         ground=kitti_ground(len(files)),
-        notes=notes + truth_notes,
+        sensors=(fixes,) if len(fixes) else (),
+        notes=notes + packet_notes + truth_notes,
     )
 
 
@@ -121,20 +125,13 @@ def _camera_T_reference(calibration: CalibrationText, which: str) -> gtsam.Pose3
     return gtsam.Pose3(gtsam.Rot3.ClosestTo(rotation), shift)
 
 
-def _ground_truth(
-    drive: Path, camera_T_reference: gtsam.Pose3, origin: np.datetime64, image_stamps: NDArray[np.float64]
-) -> tuple[Trajectory | None, tuple[str, ...]]:
-    """world_T_camera from the OXTS packets, the world being the first of these camera frames."""
+def _packets(
+    drive: Path, origin: np.datetime64, image_stamps: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...]]:
+    """Stamps (N,) and numbers (N, 6) of the OXTS packets that bring news, see `read_packets`; and notes."""
     files = sorted(file for file in (drive / "oxts" / "data").glob("*.txt") if file.stem.isdigit())
     if not files:
-        return None, ()
-    extrinsics = [drive.parent / name for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt")]
-    missing = [path.name for path in extrinsics if not path.is_file()]
-    if missing:
-        return None, (f"{' and '.join(missing)} missing: the OXTS packets cannot be brought to the camera",)
-    reference_T_velo, velo_T_imu = map(_rigid, extrinsics)
-    camera_T_imu = camera_T_reference * reference_T_velo * velo_T_imu
-
+        return np.empty(0), np.empty((0, 6)), ()
     numbers = [int(file.stem) for file in files]
     stamps, notes = _packet_stamps(drive, numbers, origin, image_stamps)
     expected = max(max(numbers) + 1, len(image_stamps) if drive.name.endswith("_sync") else 0)
@@ -145,12 +142,23 @@ def _ground_truth(
     news = known > np.maximum.accumulate(np.concatenate([[-np.inf], known[:-1]]))
     if not np.all(news):
         notes += (f"{count_of(int(np.sum(~news)), 'OXTS packet')} left out: no stamp later than the one before",)
-    if not np.any(news):
-        return None, notes
-    packets = read_packets([file for file, new in zip(files, news, strict=True) if new])
-    imu_T_camera = camera_T_imu.inverse()
+    return stamps[news], read_packets([file for file, new in zip(files, news, strict=True) if new]), notes
+
+
+def _ground_truth(
+    drive: Path, camera_T_reference: gtsam.Pose3, stamps: NDArray[np.float64], packets: NDArray[np.float64]
+) -> tuple[Trajectory | None, tuple[str, ...]]:
+    """world_T_camera from the OXTS packets, the world being the first of these camera frames."""
+    if not len(packets):
+        return None, ()
+    extrinsics = [drive.parent / name for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt")]
+    missing = [path.name for path in extrinsics if not path.is_file()]
+    if missing:
+        return None, (f"{' and '.join(missing)} missing: the OXTS packets cannot be brought to the camera",)
+    reference_T_velo, velo_T_imu = map(_rigid, extrinsics)
+    imu_T_camera = (camera_T_reference * reference_T_velo * velo_T_imu).inverse()
     poses = [world_T_imu * imu_T_camera for world_T_imu in packet_poses(packets)]
-    return make_trajectory(drive / "oxts", stamps[news], poses).from_origin(), notes
+    return make_trajectory(drive / "oxts", stamps, poses).from_origin(), ()
 
 
 def _packet_stamps(
