@@ -44,7 +44,7 @@ lock: ## Pin the newest versions that pyproject.toml allows in requirements.lock
 	$(PYTHON) -m venv build/lock
 	build/lock/bin/pip install --quiet uv
 	UV_CUSTOM_COMPILE_COMMAND="make lock" build/lock/bin/uv pip compile --quiet --upgrade --universal \
-		--python-version 3.11 --generate-hashes --group dev --output-file requirements.lock pyproject.toml
+		--python-version 3.11 --generate-hashes --all-extras --group dev --output-file requirements.lock pyproject.toml
 
 clean: ## Remove .venv, caches and builds; runs stay
 	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fvslam_graph import testing
-    from fvslam_graph.api import Estimator, compare, evaluate, run
+    from fvslam_graph.api import Estimator, compare, evaluate, export, run
     from fvslam_graph.core.camera import Camera
     from fvslam_graph.core.sequence import Ground
 
 __version__ = "0.1.0"
-__all__ = ["Camera", "Estimator", "Ground", "compare", "evaluate", "run", "testing"]
+__all__ = ["Camera", "Estimator", "Ground", "compare", "evaluate", "export", "run", "testing"]
 _ELSEWHERE = {"Camera": "core.camera", "Ground": "core.sequence"}
 
 

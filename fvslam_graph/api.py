@@ -1,4 +1,4 @@
-"""The package from Python: an estimator to hold in the hand, run one, evaluate a trajectory, compare modes."""
+"""The package from Python: an estimator to hold in the hand, run one, evaluate and export a trajectory, compare modes."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from fvslam_graph.estimator import FrameEstimator
 
 if TYPE_CHECKING:
     from fvslam_graph.evaluation.metrics import Evaluation
+    from fvslam_graph.runs.export.formats import Export
     from fvslam_graph.runs.results import Run
     from fvslam_graph.study.results import StudyResults
 
@@ -163,6 +164,40 @@ def evaluate(
     from fvslam_graph.evaluation.runs import evaluation_of
 
     return evaluation_of(estimated, reference, align, time_offset)
+
+
+def export(
+    run: Run | str | Path,
+    format: str,
+    out: str | Path,
+    smoothed: bool = False,
+    origin: Iterable[float] | None = None,
+    gnss: str | Path | None = None,
+) -> Export:
+    """Write the poses of a run, with their covariances, in the format of another program.
+
+    Args:
+        run: A run or its folder.
+        format: "csv", "ros2", "euroc", "colmap", "g2o", "kml", "gpx" or "geojson".
+        out: A file, or for ros2, euroc and colmap a folder, that does not exist yet.
+        smoothed: The poses by all measurements (mode graph), which have no covariances, in place of the online ones.
+        origin: Latitude, longitude (degrees, WGS84), altitude (m) and, if given, heading (degrees clockwise from
+            north) of the first camera, for kml, gpx and geojson.
+        gnss: CSV file of fixes (stamp, latitude, longitude, altitude) that the path is aligned with, likewise, in place
+            of those that the recording has.
+
+    Returns:
+        `path`, and `notes` on what its reader should know.
+
+    Raises:
+        FvslamError: One sentence on what is missing, unknown or in the way.
+    """
+    from fvslam_graph.runs.export.formats import export_run
+    from fvslam_graph.runs.run_folder import read_run
+
+    exported = read_run(Path(run)) if isinstance(run, str | Path) else run
+    place = None if origin is None else tuple(origin)
+    return export_run(exported, format, Path(out), smoothed, place, None if gnss is None else Path(gnss))
 
 
 def compare(

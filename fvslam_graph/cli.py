@@ -144,6 +144,32 @@ def plot(
 
 
 @app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    to: Annotated[str, typer.Option(help="csv, ros2, euroc, colmap, g2o, kml, gpx or geojson.", metavar="FORMAT")],
+    out: Annotated[Path | None, typer.Option(help="New file or folder; beside the run's folder if not given.")] = None,
+    smoothed: Annotated[bool, typer.Option("--smoothed", help="The poses by all measurements, of mode graph.")] = False,
+    origin: Annotated[
+        str | None,
+        typer.Option(help="Where the first camera is and looks, for maps.", metavar="LAT,LON,ALT[,HEADING]"),
+    ] = None,
+    gnss: Annotated[
+        Path | None, typer.Option(help="CSV of fixes to align with, for maps: stamp,latitude,longitude,altitude.")
+    ] = None,
+) -> None:
+    """Write the poses of a run, with their covariances, in the format of another program."""
+    from fvslam_graph.runs.export.formats import export_name, export_run
+    from fvslam_graph.runs.run_folder import read_run
+
+    exported = read_run(run)
+    path = out or run.resolve().parent / export_name(exported, to, smoothed)
+    done = export_run(exported, to, path, smoothed, None if origin is None else _origin(origin), gnss)
+    typer.echo(done.path)
+    for note in done.notes:
+        typer.echo(note, err=True)
+
+
+@app.command()
 def compare(
     path: SequencePath,
     modes: Annotated[str, typer.Option(help="Comma-separated.")] = "vo,vslam,average,intersection,graph",
@@ -315,6 +341,13 @@ def _numbers(text: str) -> list[int]:
         return [int(number) for number in text.split(",")]
     except ValueError:
         raise FvslamError(f"--landmarks takes numbers of frames, as in 10,50, not '{text}'") from None
+
+
+def _origin(text: str) -> list[float]:
+    try:
+        return [float(number) for number in text.split(",")]
+    except ValueError:
+        raise FvslamError(f"--origin takes LAT,LON,ALT[,HEADING] in degrees and metres, not '{text}'") from None
 
 
 def main() -> None:

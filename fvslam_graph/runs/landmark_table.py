@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,45 @@ def landmark_rows(slam: SlamEstimate) -> str:
         cells = ("" if np.isnan(number) else f"{number:.6g}" for number in numbers)
         lines.append(",".join((str(slam.index), str(identity), outcome, "" if age < 0 else str(age), *cells)) + "\n")
     return "".join(lines)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Landmarks where they were found in the images, in the order of frames.
+
+    Attributes:
+        frames: (K,) in which frame,
+        ids: (K,) which landmark,
+        pixels: (K, 2) where.
+    """
+
+    frames: NDArray[np.int64]
+    ids: NDArray[np.int64]
+    pixels: NDArray[np.float64]
+
+    def select(self, rows: NDArray[np.bool_]) -> Observations:
+        """Some of them."""
+        return Observations(self.frames[rows], self.ids[rows], self.pixels[rows])
+
+
+def read_observations(path: Path) -> Observations:
+    """All observations that agree with the map, and those that landmarks begin with.
+
+    Raises:
+        ValueError: The file is damaged.
+    """
+    good = {NEW, *(outcome.name.lower() for outcome in MatchOutcome if outcome >= MatchOutcome.INLIER)}
+    text = read_text(path, ResultsError, OWN_MAX_SIZE)
+    rows = [line.split(",") for line in text[: text.rfind("\n") + 1].splitlines()[1:]]
+    if odd := [row for row in rows if len(row) != len(LANDMARK_COLUMNS)]:
+        raise ValueError(f"it has a line of {len(odd[0])} instead of {len(LANDMARK_COLUMNS)} cells")
+    rows = [row for row in rows if row[LANDMARK_COLUMNS.index("outcome")] in good]
+    u = LANDMARK_COLUMNS.index("u")
+    return Observations(
+        np.array([row[0] for row in rows], dtype=np.int64),
+        np.array([row[1] for row in rows], dtype=np.int64),
+        np.array([row[u : u + 2] for row in rows], dtype=np.float64).reshape(-1, 2),
+    )
 
 
 def read_landmarks(path: Path, frame: int) -> dict[str, NDArray[np.generic]]:

@@ -81,6 +81,10 @@ def pair(estimate: str, reference: str) -> Subject:
 
 OF_A_RUN = r"run/.*\.(tum|csv|json|npz)"
 SETTINGS = "run {at}/recording --config {at}/config.yaml --out {out}"
+EXPORTS = tuple(
+    f"export {{at}}/run --to {format} --out {{out}}"
+    for format in ("csv", "ros2", "g2o", "geojson --origin 1,2,3", "colmap --smoothed")
+)
 STUDY = "study {at}/study.yaml --out {out} --workers 1"
 TRUTH = "recording/groundtruth.tum"
 COMPARE = f"compare {{at}}/recording --modes vo --seeds 1 --external X={{at}}/{TRUTH} --out {{out}}"
@@ -100,6 +104,7 @@ SUBJECTS = {
     "tum-asl": pair("estimate.tum", "reference.csv"),
     "run": Subject(20, "run", ("evaluate {at}/run",), r"run/.*", lambda at: evaluation(at / "run")),
     "plot": Subject(2, "run", ("plot {at}/run --out {out}",), OF_A_RUN, None),
+    "export": Subject(6, "run", EXPORTS, r"run/.*", None),
     "settings": Subject(15, "settings", (SETTINGS,), r"config\.yaml", None),
     "study": Subject(12, "study", (STUDY,), r"study\.yaml", None),
     "external": Subject(0.2, "study", (COMPARE,), TRUTH, None),
@@ -329,10 +334,11 @@ OPTIONS = {
     "distortion {root}/folder": "frames stride camera-k1",
     "evaluate {root}/run/run": "reference align time-offset",
     "plot {root}/folder": "out align landmarks",
+    "export {root}/run/run --to kml --out {out}": "to out origin gnss",
     "compare {root}/absent --out {out}": "modes seeds preset set external align workers",
     "study {root}/study/study.yaml --out {out}": "workers scheduler",
 }
-COMMANDS = ("run", "info", "distortion", "evaluate", "plot", "compare", "study")
+COMMANDS = ("run", "info", "distortion", "evaluate", "plot", "export", "compare", "study")
 ARGUMENTS = [
     *(
         (command, f"--{option}", odd)

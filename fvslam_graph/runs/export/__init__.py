@@ -1,0 +1,1 @@
+"""The poses of a run in the formats of other programs, one module a format."""
