@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadscope
 CHROMIUM := DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium fonts-dejavu-core
 
-.PHONY: help demo test test-all test-numerics fuzz lint browser lock clean
+.PHONY: help demo test test-all test-numerics fuzz lint browser package lock clean
 .DEFAULT_GOAL := help
 
 help: ## This list
@@ -39,6 +39,19 @@ browser:
 	@command -v chromium >/dev/null || { test "$$(id -u)" = 0 && command -v apt-get >/dev/null && \
 		{ $(CHROMIUM) || { apt-get update -qq && $(CHROMIUM); }; } >/dev/null 2>&1; } || \
 		echo "There is no Chromium: the tests of reports in a browser are skipped."
+
+# The wheel with what its users get, the newest libraries; the tests with the locked ones.
+package: $(READY) ## Build wheel and sdist; without the repository, fly the demo with the one, run the other's tests
+	rm -rf dist build/wheel build/sdist
+	$(BIN)/hatchling build
+	$(PYTHON) -m venv build/wheel
+	build/wheel/bin/pip install --quiet --disable-pip-version-check dist/*.whl
+	cd build/wheel && bin/fvslam demo --frames 30 --out demo
+	$(PYTHON) -m venv build/sdist
+	build/sdist/bin/pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.lock
+	build/sdist/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation dist/*.tar.gz
+	tar -xzf dist/*.tar.gz -C build/sdist --strip-components 1 --one-top-level=source
+	cd build/sdist/source && ../bin/pytest --numprocesses 2 --dist loadscope
 
 lock: ## Pin the newest versions that pyproject.toml allows in requirements.lock
 	$(PYTHON) -m venv build/lock
