@@ -18,6 +18,8 @@ from fvslam_graph.core.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 MIN_FIXES = 3  # points that determine a similarity
+STRAIGHT = 3.0  # RMS distances from the fixes; a path that leaves a straight line by less is straight,
+MIN_ASIDE = 0.1  # metres, and by less than this
 MIN_SPREAD = 1.0  # metres between fixes, below which they tell no direction
 
 
@@ -86,6 +88,9 @@ class Georeference:
         rest = enu - scale * near.positions @ rotation.T - translation
         rms = np.sqrt((rest**2).sum(axis=1).mean())
         note = f"aligned with {len(places)} fixes of {fixes.source}, {rms:.2f} m RMS apart, by a scale of {scale:.4f}"
+        aside = np.linalg.svd(enu - enu.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(enu))
+        if aside < max(STRAIGHT * rms, MIN_ASIDE):
+            note += "; the path is so straight that they do not tell how it is turned about itself"
         return cls(places[0], scale, rotation, translation, note)
 
     def enu(self, points: Array) -> Array:

@@ -185,6 +185,19 @@ def test_fixes_of_a_receiver_that_stands(run, fixes, tmp_path):
         fvslam_graph.export(run, "kml", tmp_path / "map.kml", gnss=path)
 
 
+def test_a_straight_path_may_be_turned_about_itself(run, fixes, tmp_path):
+    path, places = fixes
+    ahead = Trajectory(
+        run.online.stamps, tuple(gtsam.Pose3(gtsam.Rot3(), np.array([0, 0, 5.0 * n])) for n in range(len(places)))
+    )
+    enu = np.outer(5.0 * np.arange(len(places)), [0.6, 0.8, 0])
+    there = replace(read_fixes(path), values=np.column_stack(pymap3d.enu2geodetic(*enu.T, *ORIGIN)))
+    done = fvslam_graph.export(replace(run, online=ahead, gnss=there), "gpx", tmp_path / "map.gpx")
+    assert "do not tell how it is turned about itself" in done.notes[0]
+    longitude, latitude, altitude = read_gpx(done.path).T
+    assert np.abs(np.column_stack(pymap3d.geodetic2enu(latitude, longitude, altitude, *ORIGIN)) - enu).max() < 1e-4
+
+
 @pytest.mark.parametrize("origin", [(1, 2), (91, 0, 0), (0, 181, 0), (0, 0, np.nan), (0, 0, 0, 0, 0)])
 def test_an_origin_that_is_none(run, tmp_path, origin):
     with pytest.raises(FvslamError, match="the origin is LAT,LON,ALT"):
