@@ -1,4 +1,4 @@
-"""The package from Python: an estimator to hold in the hand, run one, evaluate and export a trajectory, compare modes."""
+"""The package from Python: an estimator to hold in the hand, whole runs, their evaluation, export and comparison."""
 
 from __future__ import annotations
 
