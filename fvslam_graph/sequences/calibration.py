@@ -63,7 +63,12 @@ def read_calibration(path: Path) -> Calibration:
         CameraError: The file is of none of them, lacks something, has a key that is nearly right or describes no
             camera.
     """
-    entries = Entries.read(path)
+    return calibration_of(Entries.read(path))
+
+
+def calibration_of(entries: Entries) -> Calibration:
+    """The calibration that these entries are; see `read_calibration`."""
+    path = entries.path
     layout = next((layout for layout in LAYOUTS if entries.has(layout.key)), None)
     if layout is None:
         known = ", ".join(f"'{layout.key}' ({layout.tool})" for layout in LAYOUTS)

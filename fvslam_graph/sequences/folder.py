@@ -12,8 +12,8 @@ from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sequence import Ground, Sequence
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.calibration import read_calibration
-from fvslam_graph.sequences.files import count_of, image_files, stamps_in_names
-from fvslam_graph.sequences.ground import UAV_TILT, level_ground
+from fvslam_graph.sequences.files import image_files, stamps_in_names
+from fvslam_graph.sequences.ground import UAV_TILT, altimeter_readings, level_ground
 from fvslam_graph.sequences.images import ImageFiles
 from fvslam_graph.sequences.tables import (
     MAX_RATE,
@@ -97,27 +97,8 @@ def _listed(times: Path) -> tuple[list[Path], NDArray[np.float64], Ground | None
     stamps = to_numbers(times, [[stamp] for stamp in columns["timestamp_s"]])[:, 0]
     require_increasing(times, stamps)
     heights = to_numbers(times, [[height or "nan"] for height in columns.get("height_m", ())]).ravel()
-    return paths, stamps, *_altimeter(times, heights)
-
-
-def _altimeter(times: Path, heights: NDArray[np.float64]) -> tuple[Ground | None, tuple[str, ...]]:
-    """The ground as a height reading knows it, no better than its smallest step and not nearer than that, and notes.
-
-    Raises:
-        SequenceError: Most heights are below zero.
-    """
-    known = np.unique(heights[np.isfinite(heights)])
-    if not len(known):
-        return None, ()
-    below = int(np.sum(heights < 0))
-    if 2 * below > np.isfinite(heights).sum():
-        raise SequenceError(
-            f"{times}: {below} of {len(heights)} heights are below zero; height_m is metres above the ground, upwards"
-        )
-    resolution = round(float(np.diff(known).min()), 6) if len(known) > 1 else 0.0
-    if resolution == known[-1] == 0:
-        return None, (f"{times.name}: height_m is zero throughout, and is not used",)
-    notes = (f"{count_of(below, 'height')} below zero, taken as {resolution:g} m",) if below else ()
-    above = np.where(np.isfinite(heights), np.maximum(heights, resolution), np.nan)
+    above, resolution, notes = altimeter_readings(heights, str(times))
+    if not np.isfinite(above).any():
+        return paths, stamps, None, notes
     ground = level_ground(above, UAV_TILT, "times.csv height_m")
-    return replace(ground, height_sigma=resolution), notes
+    return paths, stamps, replace(ground, height_sigma=resolution), notes

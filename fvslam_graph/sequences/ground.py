@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sequence import Ground, Sequence
+from fvslam_graph.sequences.files import count_of
 
 # How far a camera tilts against the ground, standard deviations in radians.
 CAR_TILT = 0.01  # a car pitches on its springs, and the mounting is not quite level
@@ -21,6 +22,37 @@ KITTI_CAMERA_HEIGHT = 1.65  # metres above the road (Geiger et al. 2013, Fig. 3)
 def level_ground(heights: NDArray[np.float64], tilt: float, source: str) -> Ground:
     """The ground below a camera that looks to the horizon, heights (N,) in metres."""
     return Ground(heights, np.array([0.0, 1.0, 0.0]), tilt, source)
+
+
+def altimeter_readings(
+    readings: NDArray[np.float64], source: str
+) -> tuple[NDArray[np.float64], float, tuple[str, ...]]:
+    """Heights above the ground as an altimeter knows them: no better than its smallest step, and not nearer than that.
+
+    Args:
+        readings: (N,) metres; NaN where it has none.
+        source: Of the readings, for messages.
+
+    Returns:
+        Heights (N,), all NaN where the altimeter says nothing; its smallest step, metres; notes.
+
+    Raises:
+        SequenceError: Most readings are below zero.
+    """
+    known = np.unique(readings[np.isfinite(readings)])
+    nothing = np.full(len(readings), np.nan)
+    if not len(known):
+        return nothing, 0.0, ()
+    below = int(np.sum(readings < 0))
+    if 2 * below > np.isfinite(readings).sum():
+        raise SequenceError(
+            f"{source}: {below} of {len(readings)} heights are below zero; heights are metres above the ground, upwards"
+        )
+    resolution = round(float(np.diff(known).min()), 6) if len(known) > 1 else 0.0
+    if resolution == known[-1] == 0:
+        return nothing, 0.0, (f"{source}: the heights are zero throughout, and are not used",)
+    notes = (f"{count_of(below, 'height')} below zero, taken as {resolution:g} m",) if below else ()
+    return np.where(np.isfinite(readings), np.maximum(readings, resolution), np.nan), resolution, notes
 
 
 def kitti_ground(frames: int) -> Ground:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
+from typing import Generic, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -26,6 +27,17 @@ _JPEG_MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])")  # apart from those w
 Levels = NDArray[np.uint8] | NDArray[np.uint16]
 
 
+class Named(Hashable, Protocol):
+    """What an image is decoded from: the path of a file, the place of a message. `str` tells it in full."""
+
+    @property
+    def name(self) -> str:
+        """The shortest name that tells it from the others of a recording."""
+
+
+_S = TypeVar("_S", bound=Named)
+
+
 def decode(path: Path) -> Levels | None:
     """The gray levels of an image file, (H, W), in the depth that it has; None where there are none to read.
 
@@ -33,11 +45,18 @@ def decode(path: Path) -> Levels | None:
     """
     try:
         readable = path.is_file() and path.stat().st_size <= MAX_BYTES  # a pipe would wait for ever
-        data = path.read_bytes() if readable else b""
-        if not _whole(data):
-            return None
+        return decode_bytes(path.read_bytes()) if readable else None
+    except OSError:
+        return None
+
+
+def decode_bytes(data: bytes) -> Levels | None:
+    """The gray levels of what an image file holds; see `decode`."""
+    if not _whole(data):
+        return None
+    try:
         levels: Levels | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-    except (OSError, cv2.error):
+    except cv2.error:
         return None
     return levels if levels is not None and levels.dtype in (np.uint8, np.uint16) else None
 
@@ -70,11 +89,12 @@ def eight_bits(levels: Levels, depth: int) -> Image:
     return np.asarray(np.minimum(levels >> (depth - 8), 255), np.uint8)
 
 
-class ImageFiles:
-    """The image files of a recording, of which a few are looked at.
+class Images(Generic[_S]):
+    """The images of a recording, of which a few are looked at.
 
     Args:
-        paths: One file per frame; None where a frame has none.
+        sources: What each frame's image is decoded from; None where a frame has none.
+        decode: Makes gray levels (H, W) of a source, or None where there are none to read.
 
     Attributes:
         size: Width, height of most of them, pixels.
@@ -84,23 +104,24 @@ class ImageFiles:
         SequenceError: No image can be decoded.
     """
 
-    def __init__(self, paths: Sequence[Path | None]) -> None:
-        self._paths = paths
-        files = [path for path in paths if path is not None]
-        if not files:
+    def __init__(self, sources: Sequence[_S | None], decode: Callable[[_S], Levels | None]) -> None:
+        self._sources, self._decode = sources, decode
+        known = [source for source in sources if source is not None]
+        if not known:
             raise SequenceError("the recording lists no images")
-        chosen = sorted(set(np.linspace(0, len(files) - 1, IMAGES_LOOKED_AT).round().astype(int).tolist()))
-        levels = {file: decode(file) for file in (files[index] for index in chosen)}
+        chosen = sorted(set(np.linspace(0, len(known) - 1, IMAGES_LOOKED_AT).round().astype(int).tolist()))
+        levels = {source: decode(source) for source in (known[index] for index in chosen)}
         if all(image is None for image in levels.values()):
-            file, image = next(((file, image) for file in files if (image := decode(file)) is not None), (None, None))
-            if file is None or image is None:
+            found = ((source, image) for source in known if (image := decode(source)) is not None)
+            source, image = next(found, (known[0], None))
+            if image is None:
                 raise SequenceError(
-                    f"none of the {len(files)} images can be decoded, the first is {files[0]}; "
+                    f"none of the {len(known)} images can be decoded, the first is {source}; "
                     f"read are 8 and 16 bits, up to {MAX_SIDE} pixels a side"
                 )
-            levels[file] = image
-        self._sizes = {file: image.shape[::-1] for file, image in levels.items() if image is not None}
-        self._undecoded = [file for file, image in levels.items() if image is None and file.is_file()]
+            levels[source] = image
+        self._sizes = {source: image.shape[::-1] for source, image in levels.items() if image is not None}
+        self._undecoded = [source for source, image in levels.items() if image is None]
         self.size: tuple[int, int] = Counter(self._sizes.values()).most_common(1)[0][0]
         deep = [image for image in levels.values() if image is not None and image.dtype == np.uint16]
         self._lowest = min((int(image.min()) for image in deep), default=0)
@@ -113,7 +134,7 @@ class ImageFiles:
         """A function that reads image i: decoded, of the right size, rectified; None where it is unusable.
 
         Args:
-            camera: The camera as built, which made the files.
+            camera: The camera as built, which made the images.
             calibration: Where the camera comes from, for the error message.
             rectifier: How to rectify; where not given, distortion is removed and the calibration matrix stays.
 
@@ -122,15 +143,15 @@ class ImageFiles:
         """
         size = (camera.width, camera.height)
         if size not in self._sizes.values():
-            path, (width, height) = next(iter(self._sizes.items()))
-            raise CameraError(f"{path} is {width}x{height} pixels, but {calibration} is for {size[0]}x{size[1]}")
+            source, (width, height) = next(iter(self._sizes.items()))
+            raise CameraError(f"{source} is {width}x{height} pixels, but {calibration} is for {size[0]}x{size[1]}")
         if rectifier is None and camera.distortion is not Distortion.NONE:
             rectifier = Rectifier(camera, camera.undistorted())
-        paths, depth = self._paths, self.depth
+        sources, decode, depth = self._sources, self._decode, self.depth
 
         def load(index: int) -> Image | None:
-            path = paths[index]
-            levels = None if path is None else decode(path)
+            source = sources[index]
+            levels = None if source is None else decode(source)
             if levels is None or levels.shape[::-1] != size:
                 return None
             image = eight_bits(levels, depth)
@@ -139,13 +160,10 @@ class ImageFiles:
         return load
 
     def notes(self, camera: Camera) -> tuple[str, ...]:
-        """Notes on what is odd about the files of a camera, one sentence each."""
-        missing = [index for index, path in enumerate(self._paths) if path is None or not path.is_file()]
-        other = [file for file, size in self._sizes.items() if size != (camera.width, camera.height)]
+        """Notes on what is odd about the images of a camera, one sentence each."""
+        other = [source for source, size in self._sizes.items() if size != (camera.width, camera.height)]
         looked_at = f"of the {len(self._sizes) + len(self._undecoded)} images looked at"
         notes = []
-        if missing:
-            notes.append(f"{count_of(len(missing), 'image')} missing: frame {ranges(missing)}")
         if self._undecoded:
             notes.append(f"{len(self._undecoded)} {looked_at} cannot be decoded, such as {self._undecoded[0].name}")
         if other:
@@ -158,3 +176,23 @@ class ImageFiles:
                 f"images of 16 bits hold levels from {self._lowest} to {self._highest}: taken as {self.depth} bits"
             )
         return tuple(notes)
+
+
+class ImageFiles(Images[Path]):
+    """The image files of a recording.
+
+    Args:
+        paths: One file per frame; None where a frame has none.
+    """
+
+    def __init__(self, paths: Sequence[Path | None]) -> None:
+        super().__init__(paths, decode)
+        self._missing = [index for index, path in enumerate(paths) if path is None or not path.is_file()]
+        self._undecoded = [path for path in self._undecoded if path.is_file()]
+
+    def notes(self, camera: Camera) -> tuple[str, ...]:
+        """Notes on what is odd about the files of a camera, one sentence each."""
+        notes = super().notes(camera)
+        if not self._missing:
+            return notes
+        return (f"{count_of(len(self._missing), 'image')} missing: frame {ranges(self._missing)}", *notes)

@@ -139,7 +139,7 @@ def test_stamps_that_cannot_be_seconds(plain_folder, stamps, complaint):
 
 def test_heights_below_zero(plain_folder):
     write_times(plain_folder, STEPS, [-10 - 0.1 * n for n in range(10)])
-    with pytest.raises(SequenceError, match=r"times\.csv: 10 of 10 heights are below zero; height_m is metres above"):
+    with pytest.raises(SequenceError, match=r"times\.csv: 10 of 10 heights are below zero; heights are metres above"):
         open_sequence(plain_folder)
     write_times(plain_folder, STEPS, [-0.2, -0.1, 0, 0.1, 0.2, 0.3, "nan", "inf", "", 0.4])
     sequence = open_sequence(plain_folder)
@@ -147,7 +147,8 @@ def test_heights_below_zero(plain_folder):
     assert sequence.notes == ("2 heights are below zero, taken as 0.1 m",)
     write_times(plain_folder, STEPS, [0.0] * 10)
     sequence = open_sequence(plain_folder)
-    assert sequence.ground is None and sequence.notes == ("times.csv: height_m is zero throughout, and is not used",)
+    note = f"{plain_folder / 'times.csv'}: the heights are zero throughout, and are not used"
+    assert sequence.ground is None and sequence.notes == (note,)
 
 
 def test_names_are_stamps_where_no_rate_is_known(plain_folder):
