@@ -40,7 +40,7 @@ SequencePath = Annotated[
     str,
     typer.Argument(
         metavar="PATH",
-        help="Folder of KITTI, EuRoC, TUM, Karlsruhe or plain images, a video, or synthetic:uav, synthetic:drive.",
+        help="Folder of KITTI, EuRoC, TUM, Karlsruhe or plain images, ROS bag, video, synthetic:uav, synthetic:drive.",
     ),
 ]
 Frames = Annotated[str | None, typer.Option(help="Part of the sequence, START:STOP.", metavar="A:B")]
@@ -49,6 +49,7 @@ ImageScale = Annotated[float, typer.Option(help="Resize the images by this facto
 CameraHeight = Annotated[float | None, typer.Option(help="Metres from the camera to the ground.")]
 CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera looks below the horizon.")]
 CameraK1 = Annotated[float | None, typer.Option(help="Radial distortion left in the images; see `distortion`.")]
+ImageTopic = Annotated[str | None, typer.Option("--topic", help="Image topic of a ROS bag, if it holds several.")]
 Preset = Annotated[str | None, typer.Option(help="paper or tuned.", show_default="tuned")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
@@ -78,6 +79,7 @@ def run(
     camera_height: CameraHeight = None,
     camera_pitch: CameraPitch = None,
     camera_k1: CameraK1 = None,
+    topic: ImageTopic = None,
 ) -> None:
     """Run an estimator on a sequence and keep the result in a folder."""
     from fvslam_graph.core.config import load_config
@@ -94,6 +96,7 @@ def run(
         camera_height=camera_height,
         camera_pitch=camera_pitch,
         camera_k1=camera_k1,
+        topic=topic,
     )
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{chosen.mode}-{chosen.preset}"
     said = _run(sequence, chosen, folder)
@@ -174,6 +177,7 @@ def compare(
     path: SequencePath,
     modes: Annotated[str, typer.Option(help="Comma-separated.")] = "vo,vslam,average,intersection,graph",
     seeds: Annotated[int, typer.Option(help="How many runs of each mode.", min=1)] = 5,
+    topic: ImageTopic = None,
     preset: Preset = None,
     settings: Settings = None,
     external: Annotated[
@@ -190,12 +194,13 @@ def compare(
     """Run all modes on a sequence over several seeds, and compare them, also with other systems."""
     from fvslam_graph.core.errors import ConfigError
     from fvslam_graph.core.yaml_files import parse_yaml
+    from fvslam_graph.study.jobs import Source
     from fvslam_graph.study.spec import comparison, default_folder
 
     files = dict(_pair(text, "--external", "NAME=FILE") for text in external or [])
     values = dict(_pair(text, "--set", "group.name=value") for text in settings or [])
     study = comparison(
-        path,
+        Source(path=path, topic=topic),
         modes.split(","),
         seeds,
         preset or "tuned",
@@ -221,22 +226,30 @@ def study(
 
 
 @app.command()
-def info(path: SequencePath, camera_height: CameraHeight = None, camera_pitch: CameraPitch = None) -> None:
-    """Say what is recognised in a folder: format, frames, camera, ground truth, scale, gaps."""
-    from rich.table import Table
-    from rich.text import Text
-
+def info(
+    path: SequencePath,
+    camera_height: CameraHeight = None,
+    camera_pitch: CameraPitch = None,
+    topic: ImageTopic = None,
+) -> None:
+    """Say what is recognised in a recording: format, frames, camera, ground truth, scale, gaps; topics of a bag."""
     from fvslam_graph.sequences.describe import describe
-    from fvslam_graph.sequences.open import open_sequence
+    from fvslam_graph.sequences.open import open_sequence, topics_of
 
-    table = Table(show_header=False, box=None)
-    for name, value in describe(open_sequence(path, camera_height=camera_height, camera_pitch=camera_pitch)):
-        table.add_row(name, Text(value))
-    _show(table)
+    if topics := topics_of(path):  # also of a bag that does not open before a topic is chosen
+        _show_facts([("topic", f"{known.name}: {known.count} {known.type}") for known in topics])
+    sequence = open_sequence(path, camera_height=camera_height, camera_pitch=camera_pitch, topic=topic)
+    _show_facts(describe(sequence))
 
 
 @app.command()
-def distortion(path: SequencePath, frames: Frames = None, stride: Stride = 1, camera_k1: CameraK1 = None) -> None:
+def distortion(
+    path: SequencePath,
+    frames: Frames = None,
+    stride: Stride = 1,
+    camera_k1: CameraK1 = None,
+    topic: ImageTopic = None,
+) -> None:
     """Measure the radial distortion (k1) that the calibration has left in the images, by tracks of odometry.
 
     It shows where the camera turns; `run --camera-k1` takes it out.
@@ -244,7 +257,7 @@ def distortion(path: SequencePath, frames: Frames = None, stride: Stride = 1, ca
     from fvslam_graph.sequences.open import open_sequence
     from fvslam_graph.vo.distortion import measure_distortion
 
-    sequence = open_sequence(path, frames=frames, stride=stride, camera_k1=camera_k1)
+    sequence = open_sequence(path, frames=frames, stride=stride, camera_k1=camera_k1, topic=topic)
     k1, sigma = measure_distortion(sequence)
     typer.echo(f"k1 = {k1:.4f} +- {sigma:.4f} (standard deviation)")
 
@@ -327,6 +340,16 @@ def _show(table: Table) -> None:
     from rich.console import Console
 
     Console(width=None if sys.stdout.isatty() else WIDE).print(table)
+
+
+def _show_facts(facts: Iterable[tuple[str, str]]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_header=False, box=None)
+    for name, value in facts:
+        table.add_row(name, Text(value))
+    _show(table)
 
 
 def _pair(text: str, option: str, form: str) -> tuple[str, str]:

@@ -3,11 +3,12 @@
 import functools
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
@@ -99,3 +100,77 @@ def fvslam(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -
         return Ended(exit.value.code or 0, *capfd.readouterr())
 
     return run
+
+
+class Message(NamedTuple):
+    """A message to be written into a bag.
+
+    Attributes:
+        topic: Such as "/camera/image_raw".
+        type: Such as "sensor_msgs/msg/Image".
+        received: When it was received, ns.
+        fields: By name, those of inner messages as mappings; what is left out is zero or empty.
+    """
+
+    topic: str
+    type: str
+    received: int
+    fields: dict[str, Any]
+
+
+@pytest.fixture(scope="session")
+def write_bag() -> Callable[[Path, Iterable[Message]], Path]:
+    """Writes a bag by rosbags: of ROS 1 (.bag), else the folder of a ROS 2 bag, of which .mcap or .db3 is the file."""
+    rosbag1, rosbag2 = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.rosbag2")
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    def default(store: Any, kind: Any) -> Any:
+        node, argument = kind
+        if node is Nodetype.NAME:
+            return make(store, argument, {})
+        if node is Nodetype.BASE:
+            return "" if argument[0] == "string" else 0
+        inner, count = argument
+        return np.zeros(count, inner[1][0]) if inner[0] is Nodetype.BASE else [default(store, inner)] * count
+
+    def make(store: Any, type: str, fields: dict[str, Any]) -> Any:
+        values = {}
+        for name, (node, argument) in store.fielddefs[type][1]:
+            value = fields.get(name, fields.get(name.lower()))  # ROS 1 spells K what ROS 2 spells k
+            if value is None:
+                value = default(store, (node, argument))
+            elif node is Nodetype.NAME:
+                value = make(store, argument, value)
+            elif node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                inner = argument[0]
+                if inner[0] is Nodetype.NAME:
+                    value = [make(store, inner[1], item) for item in value]
+                else:
+                    value = np.asarray(value, inner[1][0])
+            values[name] = value
+        return store.types[type](**values)
+
+    def write(path: Path, messages: Iterable[Message]) -> Path:
+        first = path.suffix == ".bag"
+        store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_JAZZY)
+        altitude = "std_msgs/Header header\nfloat32 monotonic\nfloat32 amsl\nfloat32 local\nfloat32 relative"
+        store.register(get_types_from_msg(altitude, "mavros_msgs/msg/Altitude"))
+        if first:
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+        if first:
+            writer = rosbag1.Writer(path)
+        else:
+            plugin = rosbag2.StoragePlugin.MCAP if path.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
+            writer = rosbag2.Writer(path.with_suffix(""), version=9, storage_plugin=plugin)
+        with writer:
+            connections: dict[str, Any] = {}
+            for topic, type, received, fields in messages:
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, type, typestore=store)
+                message = make(store, type, fields)
+                data = store.serialize_ros1(message, type) if first else store.serialize_cdr(message, type)
+                writer.write(connections[topic], received, data)
+        return path if first else path.with_suffix("")
+
+    return write

@@ -9,9 +9,10 @@ from typing import Protocol
 
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.sequences import euroc, folder, karlsruhe, kitti_odometry, kitti_raw, tum_rgbd, video
+from fvslam_graph.sequences import bag, euroc, folder, karlsruhe, kitti_odometry, kitti_raw, tum_rgbd, video
 from fvslam_graph.sequences.ground import override_ground
 from fvslam_graph.sequences.plausibility import doubts
+from fvslam_graph.sequences.ros.reader import Topic
 
 
 class Format(Protocol):
@@ -30,7 +31,7 @@ class Format(Protocol):
 
 
 # The first that matches is taken: special layouts before the plain folder.
-FORMATS: tuple[Format, ...] = (kitti_odometry, kitti_raw, karlsruhe, euroc, tum_rgbd, folder, video)
+FORMATS: tuple[Format, ...] = (kitti_odometry, kitti_raw, karlsruhe, euroc, tum_rgbd, folder, bag, video)
 
 
 def open_sequence(
@@ -43,11 +44,12 @@ def open_sequence(
     camera_pitch: float | None = None,
     camera_k1: float | None = None,
     format: str | None = None,
+    topic: str | None = None,
 ) -> Sequence:
     """Open a recording of any known format, or a synthetic world by its name (`synthetic:uav?seed=3`).
 
     Args:
-        path: Folder, video file or name.
+        path: Folder, video file, bag or name.
         frames: `START:STOP`, of which either may be left out.
         stride: Take every n-th frame.
         scale: Resize the images by this factor, 0 < scale <= 1.
@@ -55,6 +57,7 @@ def open_sequence(
         camera_pitch: Radians by which the camera looks below the horizon; 0 is straight ahead, pi/2 straight down.
         camera_k1: Radial distortion that the calibration has left in the images, as `fvslam distortion` measures it.
         format: Name of the format, instead of finding out.
+        topic: Image topic of a ROS bag, where it holds several.
 
     Raises:
         FvslamError: One sentence on what is missing, damaged or out of range, and where.
@@ -62,7 +65,7 @@ def open_sequence(
     if not 0 < scale <= 1:
         raise SequenceError(f"the scale must be in (0, 1], not {scale:g}")
     start, stop = _slice(frames or ":")
-    sequence = _synthetic(path) if str(path).startswith("synthetic:") else _recorded(Path(path), format)
+    sequence = _synthetic(path, topic) if str(path).startswith("synthetic:") else _recorded(Path(path), format, topic)
     sequence = override_ground(sequence, camera_height, camera_pitch).select(start, stop, stride)
     if camera_k1 is not None:
         sequence = sequence.undistorted(camera_k1)
@@ -77,20 +80,38 @@ def open_sequence(
         "camera_pitch": camera_pitch,
         "camera_k1": camera_k1,
         "format": format,
+        "topic": topic,
     }
     return replace(sequence, source=source)
 
 
-def _synthetic(name: str | Path) -> Sequence:
+def topics_of(path: str | Path) -> tuple[Topic, ...]:
+    """The topics of a ROS bag that have messages; none of what is no bag. Raises SequenceError where it is damaged."""
+    try:
+        path = Path(path).expanduser().absolute()
+        return bag.topics(path) if bag.matches(path) else ()
+    except (OSError, RuntimeError):  # `open_sequence` says what is wrong
+        return ()
+
+
+def _synthetic(name: str | Path, topic: str | None) -> Sequence:
+    if topic is not None:
+        raise SequenceError(f"{name} is no bag, and has no topic '{topic}'")
     from fvslam_graph.simulation.synthetic import open_synthetic  # a renderer that recordings do not need
 
     return open_synthetic(str(name))
 
 
-def _recorded(path: Path, wanted: str | None) -> Sequence:
+def _recorded(path: Path, wanted: str | None, topic: str | None) -> Sequence:
     try:
         path = path.expanduser().absolute()
-        sequence = _find_format(path, wanted).read(path)
+        found = _find_format(path, wanted)
+        if topic is None:
+            sequence = found.read(path)
+        elif found is bag:
+            sequence = bag.read(path, topic)
+        else:
+            raise SequenceError(f"{path} is no bag, and has no topic '{topic}'")
     except (OSError, RuntimeError) as error:  # a folder without permission, a disk that is gone, nobody's home
         raise SequenceError(f"{path} cannot be read: {error}") from None
     left_out = sequence.ground_truth.notes if sequence.ground_truth else ()

@@ -51,6 +51,7 @@ class Source(BaseModel):
     camera_height: PositiveFloat | None = None
     camera_pitch: float | None = None
     camera_k1: float | None = None
+    topic: str | None = None
 
     @property
     def label(self) -> str:

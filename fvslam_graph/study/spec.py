@@ -48,7 +48,7 @@ class Study(BaseModel):
 
     Attributes:
         name: Title of the report.
-        sequences: Paths, or groups with path, name, frames, stride, scale, camera_height, camera_pitch, camera_k1.
+        sequences: Paths, or groups of what `Source` has: path, name, frames, stride, scale, camera_height, topic, ...
         modes: Of the estimator.
         presets: "paper", "tuned" or both.
         settings: Values to try by setting, such as {"fusion.weight": [0.3, 0.5]}; a single value holds for all runs.
@@ -142,7 +142,7 @@ def load_study(file: Path) -> Study:
 
 
 def comparison(
-    sequence: str | Path,
+    sequence: str | Path | Source,
     modes: Iterable[str],
     seeds: int | Iterable[int],
     preset: str,
@@ -157,17 +157,17 @@ def comparison(
         ConfigError: A setting is unknown or out of its range.
     """
     try:
-        label = Source(path=str(sequence)).label
+        source = sequence if isinstance(sequence, Source) else Source(path=str(sequence))
         study = Study.model_validate(
             {
-                "name": f"Comparison on {label}",
-                "sequences": [str(sequence)],
+                "name": f"Comparison on {source.label}",
+                "sequences": [source],
                 "modes": list(modes),
                 "presets": [preset],
                 "settings": dict(settings or {}),
                 "seeds": seeds if isinstance(seeds, int) else list(seeds),
                 "align": align,
-                "external": {label: {name: str(file) for name, file in external.items()}} if external else {},
+                "external": {source.label: {name: str(file) for name, file in external.items()}} if external else {},
             }
         )
     except ValidationError as error:

@@ -1,0 +1,1 @@
+"""ROS bags: their messages, images, frames, poses and sensors."""
