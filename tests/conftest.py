@@ -102,25 +102,13 @@ def fvslam(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -
     return run
 
 
-class Message(NamedTuple):
-    """A message to be written into a bag.
-
-    Attributes:
-        topic: Such as "/camera/image_raw".
-        type: Such as "sensor_msgs/msg/Image".
-        received: When it was received, ns.
-        fields: By name, those of inner messages as mappings; what is left out is zero or empty.
-    """
-
-    topic: str
-    type: str
-    received: int
-    fields: dict[str, Any]
-
-
 @pytest.fixture(scope="session")
-def write_bag() -> Callable[[Path, Iterable[Message]], Path]:
-    """Writes a bag by rosbags: of ROS 1 (.bag), else the folder of a ROS 2 bag, of which .mcap or .db3 is the file."""
+def write_bag() -> Callable[[Path, Iterable[tuple[str, str, int, dict[str, Any]]]], Path]:
+    """Writes a bag by rosbags: of ROS 1 (.bag), else the folder of a ROS 2 bag, of which .mcap or .db3 is the file.
+
+    A message is its topic, its type, when it was received (ns) and its fields by name, those of inner messages as
+    mappings; what is left out is zero or empty.
+    """
     rosbag1, rosbag2 = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.rosbag2")
     from rosbags.interfaces import Nodetype
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -151,7 +139,7 @@ def write_bag() -> Callable[[Path, Iterable[Message]], Path]:
             values[name] = value
         return store.types[type](**values)
 
-    def write(path: Path, messages: Iterable[Message]) -> Path:
+    def write(path: Path, messages: Iterable[tuple[str, str, int, dict[str, Any]]]) -> Path:
         first = path.suffix == ".bag"
         store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_JAZZY)
         altitude = "std_msgs/Header header\nfloat32 monotonic\nfloat32 amsl\nfloat32 local\nfloat32 relative"

@@ -90,6 +90,9 @@ def _storages(path: Path) -> list[Path]:
 
 def _open(path: Path) -> Bag:
     """The bag; of a folder whose metadata.yaml was never written, its only file."""
+    for file in _storages(path):
+        if not file.is_file():  # a pipe would wait for ever
+            raise SequenceError(f"{file} is no regular file")
     whole = path.is_file() or (path / "metadata.yaml").is_file()
     bag = Bag(path if whole else only_one(path, _storages(path), "bag file"))
     if not bag.topics:

@@ -1,7 +1,9 @@
 """What is fuzzed: the smallest recording of every format, a run, trajectories, settings and a study."""
 
 import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import gtsam
@@ -56,7 +58,7 @@ align: sim3
 
 
 @pytest.fixture(scope="session")
-def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def originals(tmp_path_factory: pytest.TempPathFactory, write_bag: Callable[..., Path]) -> Path:
     """A folder for each subject."""
     root = tmp_path_factory.mktemp("originals")
     sequence = synthetic_sequence("uav", frames=FRAMES, size=f"{WIDTH}x{HEIGHT}")
@@ -124,6 +126,10 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     writer.release()
     write(video / "camera.yaml", CAMERA)
 
+    for name in ("ros1/flight.bag", "mcap/flight.mcap", "sqlite/flight.db3"):
+        (root / name).parent.mkdir()
+        write_bag(root / name, messages(images, truth))
+
     trajectories = root / "trajectories"
     trajectories.mkdir()
     exact, noisy = flight(np.zeros(3)), flight(np.array([0.1, 0.02, 0.05]))
@@ -148,6 +154,22 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
+
+
+def messages(images: list[np.ndarray], truth: Trajectory) -> Iterator[tuple[str, str, int, dict[str, Any]]]:
+    """A bag's: camera_info, images, odometry and heights."""
+    for number, image in enumerate(images):
+        stamp, q = START + 100_000_000 * number, truth.poses[number].rotation().toQuaternion()
+        header = {"header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": "camera"}}
+        size = {"width": WIDTH, "height": HEIGHT}
+        lens = {"k": np.array(MATRIX.split(), float), "distortion_model": "plumb_bob", "d": [-0.01, 0.001, 0, 0, 0]}
+        yield "/camera_info", "sensor_msgs/msg/CameraInfo", stamp, header | size | lens
+        raw = {"encoding": "mono8", "step": WIDTH, "data": image.ravel()}
+        yield "/image_raw", "sensor_msgs/msg/Image", stamp, header | size | raw
+        position = dict(zip("xyz", truth.positions[number], strict=True))
+        pose = {"position": position, "orientation": {"x": q.x(), "y": q.y(), "z": q.z(), "w": q.w()}}
+        yield "/odom", "nav_msgs/msg/Odometry", stamp, header | {"child_frame_id": "camera", "pose": {"pose": pose}}
+        yield "/height", "sensor_msgs/msg/Range", stamp, header | {"range": 30.0 + number, "max_range": 99.0}
 
 
 def flight(noise: np.ndarray) -> Trajectory:

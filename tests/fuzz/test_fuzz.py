@@ -26,7 +26,7 @@ TIMES = int(os.environ.get("FVSLAM_FUZZ", "1"))
 SECONDS, BYTES = 60, 2_000_000_000
 
 NUMBER = re.compile(r"(?<![\w.+-])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?![\w.])")
-IMAGES = (".png", ".avi")
+BINARY = (".png", ".avi", ".bag", ".mcap", ".db3", ".npz", ".gtsam")
 
 
 Facts = tuple[dict[str, Any], tuple[str, ...]]
@@ -98,6 +98,9 @@ SUBJECTS = {
     "video": layout(15, "video", "/flight.avi"),
     "images": layout(20, "folder", "", r".*\.png")._replace(facts=None),
     "film": layout(10, "video", "/flight.avi", r".*\.avi")._replace(facts=None),
+    "ros1": layout(10, "ros1", "/flight.bag", r".*\.bag")._replace(facts=None),
+    "mcap": layout(10, "mcap", "/flight", r".*\.(mcap|yaml)")._replace(facts=None),
+    "sqlite": layout(10, "sqlite", "/flight", r".*\.(db3|yaml)")._replace(facts=None),
     "distortion": Subject(5, "folder", ("distortion {at}",), ".*", None),
     "tum-tum": pair("estimate.tum", "reference.tum"),
     "kitti-tum": pair("estimate.kitti", "reference.tum"),
@@ -188,7 +191,7 @@ def _replaced(path: Path, rng: random.Random) -> str:
 
 def spoil(path: Path, rng: random.Random) -> tuple[str, str]:
     """Spoil a file; says of which class that is, and what was done."""
-    binary = path.suffix in (*IMAGES, ".npz", ".gtsam")
+    binary = path.suffix in BINARY
     kind = rng.choices(["HARMLESS", "DAMAGE", "OTHER", "GONE"], [0 if binary else 2, 0 if binary else 5, 4, 2])[0]
     if kind == "GONE":
         return kind, _replaced(path, rng)
@@ -328,9 +331,9 @@ ODD = (
 )
 OPTIONS = {
     "run {root}/folder --out {out}": (
-        "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1"
+        "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic"
     ),
-    "info {root}/folder": "camera-height camera-pitch",
+    "info {root}/folder": "camera-height camera-pitch topic",
     "distortion {root}/folder": "frames stride camera-k1",
     "evaluate {root}/run/run": "reference align time-offset",
     "plot {root}/folder": "out align landmarks",

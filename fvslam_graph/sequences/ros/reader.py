@@ -57,14 +57,14 @@ class Bag:
             # Bags of ROS 2 before Iron do not define their messages.
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._reader.open()
+            weakref.finalize(self, self._reader.close)
+            self.topics = {
+                name: Topic(name, info.msgtype, int(info.msgcount))
+                for name, info in sorted(self._reader.topics.items())
+                if info.msgcount and info.msgtype
+            }
         except Exception as problem:  # what a damaged file raises has no common base
             raise SequenceError(f"{path} cannot be read as a bag: {_reason(problem)}; {MEND}") from None
-        weakref.finalize(self, self._reader.close)
-        self.topics = {
-            name: Topic(name, info.msgtype, info.msgcount)
-            for name, info in sorted(self._reader.topics.items())
-            if info.msgcount and info.msgtype
-        }
 
     def of_type(self, *types: str) -> list[Topic]:
         """The topics of these types."""
