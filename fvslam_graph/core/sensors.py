@@ -1,4 +1,4 @@
-"""What other sensors than the camera have measured in a recording."""
+"""Series of readings of other sensors than the camera."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_GAP = 0.5  # seconds between two readings between which nothing is interpolated
+MAX_READING_GAP = 0.5  # seconds between two readings between which nothing is interpolated
 
 
 class SensorKind(StrEnum):
-    """What a series measures, with its columns and units."""
+    """The quantity that a series measures, with its columns and units."""
 
     GNSS = "gnss"  # latitude, longitude (degrees), altitude (m), all WGS84; sigmas in metres north, east, up
     RANGE = "range"  # distance along the beam, m
@@ -46,6 +46,6 @@ class SensorSeries:
         after = np.clip(np.searchsorted(self.stamps, stamps), 0, len(self) - 1)
         before = np.maximum(after - 1, 0)
         known = (stamps >= self.stamps[0]) & (stamps <= self.stamps[-1])
-        known &= (self.stamps[after] - self.stamps[before] <= MAX_GAP) | (self.stamps[after] == stamps)
+        known &= (self.stamps[after] - self.stamps[before] <= MAX_READING_GAP) | (self.stamps[after] == stamps)
         columns = [np.interp(stamps, self.stamps, column) for column in self.values.T]
         return np.where(known[:, None], np.column_stack(columns), np.nan)

@@ -102,7 +102,7 @@ class Sequence:
         load: Reads image i, 0 <= i < N, as (H, W) uint8 of the camera's size; None where it cannot be decoded.
         ground_truth: world_T_camera of this camera; its stamps need not be those of the images.
         ground: What is known about the ground plane.
-        sensors: What other sensors have measured over the whole recording.
+        sensors: Readings of other sensors, over the whole recording.
         notes: Gaps and oddities found on opening, one sentence each.
         source: What `open_sequence` takes to open it again; None where that is not known.
     """

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sensors import SensorSeries
-from fvslam_graph.core.sequence import Sequence as Recording
+from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.files import count_of, only_one
 from fvslam_graph.sequences.images import Images
@@ -23,12 +24,14 @@ from fvslam_graph.sequences.tables import MIN_STEP, require_increasing
 FORMAT = "rosbag"
 LAYOUT = "a ROS bag: a .bag, .mcap or .db3 file, or a folder with metadata.yaml"
 
-SUFFIXES = {".bag", ".mcap", ".db3"}
+BAG_SUFFIXES = {".bag", ".mcap", ".db3"}
 
 
 def matches(path: Path) -> bool:
     """Whether this is a file of a bag by its suffix, or a folder of ROS 2."""
-    return path.suffix in SUFFIXES if path.is_file() else (path / "metadata.yaml").is_file() or bool(_storages(path))
+    return (
+        path.suffix in BAG_SUFFIXES if path.is_file() else (path / "metadata.yaml").is_file() or bool(_storages(path))
+    )
 
 
 def topics(path: Path) -> tuple[Topic, ...]:
@@ -36,7 +39,7 @@ def topics(path: Path) -> tuple[Topic, ...]:
     return tuple(_open(path).topics.values())
 
 
-def read(path: Path, topic: str | None = None) -> Recording:
+def read(path: Path, topic: str | None = None) -> Sequence:
     """Open a bag; `topic` chooses among several image topics.
 
     Stamps are those of the message headers. One pass reads them, poses and sensors; images are decoded on demand.
@@ -44,34 +47,27 @@ def read(path: Path, topic: str | None = None) -> Recording:
     bag = _open(path)
     chosen = _image_topic(bag, topic)
     first = bag.first(chosen.name)
-    if chosen.type == images.RAW and first.encoding.lower() not in images.ENCODINGS:
+    if chosen.type == images.RAW_IMAGE and first.encoding.lower() not in images.ENCODINGS:
         known = ", ".join(images.ENCODINGS)
         raise SequenceError(f"{path}: {chosen.name} has the encoding '{first.encoding}'; read are {known}")
     camera_frame = frames.frame_name(first.header.frame_id)
     calibration, source, notes = bag_calibration(bag, chosen.name)
 
-    candidates = poses.by_preference(bag.of_type(*poses.TYPES))
+    candidates = poses.by_preference(bag.of_type(*poses.POSE_TYPES))
     takes: dict[str, Callable[[Any], Any]] = {chosen.name: stamp_of}
     takes |= {candidate.name: poses.pose_of for candidate in candidates[:1]}
-    takes |= {known.name: frames.transforms_of for known in bag.of_type(*frames.TYPES)}
-    takes |= {known.name: sensors.READERS[known.type][1] for known in bag.of_type(*sensors.READERS)}
+    takes |= {known.name: frames.transforms_of for known in bag.of_type(*frames.TF_TYPES)}
+    takes |= {known.name: sensors.SENSOR_READERS[known.type][1] for known in bag.of_type(*sensors.SENSOR_READERS)}
     rows, damage = bag.collect(takes)
 
     messages, stamps, order = _in_order(bag, chosen.name, rows)
     pictures = Images(messages, lambda message: message.decode(bag))
-    tree = frames.FrameTree(
-        path, (row for known in bag.of_type(*frames.TYPES) for _, some in rows[known.name] for row in some)
-    )
+    tree = _frame_tree(bag, rows)
     truth, about_truth = _ground_truth(bag, candidates, rows, tree, camera_frame)
     series = _sensors(bag, rows)
-    finders = [
-        sensors.RangeFinder(known, frames.frame_name(bag.first(known.source).header.frame_id))
-        for known in series
-        if bag.topics[known.source].type == sensors.RANGE
-    ]
-    ground, about_ground = sensors.ground_below(finders, tree, camera_frame, stamps)
+    ground, about_ground = sensors.ground_below(_range_finders(bag, series), tree, camera_frame, stamps)
     camera = calibration.camera
-    return Recording(
+    return Sequence(
         name=path.name if path.is_dir() else path.stem,
         format=FORMAT,
         camera=camera.undistorted(),
@@ -101,7 +97,7 @@ def _open(path: Path) -> Bag:
 
 
 def _image_topic(bag: Bag, name: str | None) -> Topic:
-    found = bag.of_type(images.RAW, images.COMPRESSED)
+    found = bag.of_type(images.RAW_IMAGE, images.COMPRESSED_IMAGE)
     listed = ", ".join(topic.name for topic in found)
     if not found:
         raise SequenceError(f"{bag.path} holds no images; its topics are {', '.join(bag.topics)}")
@@ -149,7 +145,7 @@ def _in_order(
 
 
 def _ground_truth(
-    bag: Bag, candidates: Sequence[Topic], rows: Rows, tree: frames.FrameTree, camera: str
+    bag: Bag, candidates: list[Topic], rows: Rows, tree: frames.FrameTree, camera: str
 ) -> tuple[Trajectory | None, tuple[str, ...]]:
     """world_T_camera, and notes that say where it comes from."""
     if candidates and (measured := [row for _, row in rows[candidates[0].name]]):
@@ -162,9 +158,24 @@ def _ground_truth(
     return None, ()
 
 
+def _frame_tree(bag: Bag, rows: Rows) -> frames.FrameTree:
+    messages = [transforms for known in bag.of_type(*frames.TF_TYPES) for _, transforms in rows[known.name]]
+    return frames.FrameTree(bag.path, itertools.chain.from_iterable(messages))
+
+
+def _range_finders(bag: Bag, series: tuple[SensorSeries, ...]) -> list[sensors.RangeFinder]:
+    return [
+        sensors.RangeFinder(known, frames.frame_name(bag.first(known.source).header.frame_id))
+        for known in series
+        if bag.topics[known.source].type == sensors.RANGE_TYPE
+    ]
+
+
 def _sensors(bag: Bag, rows: Rows) -> tuple[SensorSeries, ...]:
     made = [
-        sensors.series_of(sensors.READERS[known.type][0], known.name, [reading for _, reading in rows[known.name]])
-        for known in bag.of_type(*sensors.READERS)
+        sensors.series_of(
+            sensors.SENSOR_READERS[known.type][0], known.name, [reading for _, reading in rows[known.name]]
+        )
+        for known in bag.of_type(*sensors.SENSOR_READERS)
     ]
     return tuple(series for series in made if series is not None)

@@ -28,7 +28,7 @@ Levels = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class Named(Hashable, Protocol):
-    """What an image is decoded from: the path of a file, the place of a message. `str` tells it in full."""
+    """The source of an image: the path of a file, the place of a message. `str` tells it in full."""
 
     @property
     def name(self) -> str:

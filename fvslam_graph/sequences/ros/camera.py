@@ -13,7 +13,7 @@ from fvslam_graph.sequences.calibration import Calibration, calibration_of, read
 from fvslam_graph.sequences.entries import Entries
 from fvslam_graph.sequences.ros.reader import Bag
 
-INFO = "sensor_msgs/msg/CameraInfo"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 
 def bag_calibration(bag: Bag, topic: str) -> tuple[Calibration, Path, tuple[str, ...]]:
@@ -46,7 +46,7 @@ def bag_calibration(bag: Bag, topic: str) -> tuple[Calibration, Path, tuple[str,
 
 def _camera_info(bag: Bag, topic: str) -> str | None:
     """The camera_info in the nearest namespace of an image topic, else the only one."""
-    infos = [info.name for info in bag.of_type(INFO)]
+    infos = [info.name for info in bag.of_type(CAMERA_INFO)]
     while topic:
         topic = topic.rpartition("/")[0]
         if f"{topic}/camera_info" in infos:

@@ -14,7 +14,7 @@ from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.ros.reader import stamp_of
 from fvslam_graph.sequences.tables import make_trajectory
 
-TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # the second is ROS 1's before 2013
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # the second is ROS 1's before 2013
 
 Numbers = tuple[float, float, float, float, float, float, float]
 """Position (m) and quaternion: x, y, z, qx, qy, qz, qw."""

@@ -12,11 +12,11 @@ from fvslam_graph.core.camera import MAX_SIDE
 from fvslam_graph.sequences.images import Levels, decode_bytes
 from fvslam_graph.sequences.ros.reader import Bag, stamp_of
 
-RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
 
 class Encoding(NamedTuple):
-    """How a raw image is stored.
+    """The storage of a raw image.
 
     Attributes:
         dtype: Of a number.
@@ -49,7 +49,7 @@ ENCODINGS = {
 
 @dataclass(frozen=True, slots=True)
 class ImageMessage:
-    """Where an image is in a bag.
+    """The place of an image in a bag.
 
     Attributes:
         topic: Its topic.

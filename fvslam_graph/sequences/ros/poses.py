@@ -13,7 +13,7 @@ from fvslam_graph.sequences.ros.frames import FrameTree, Numbers, frame_name, po
 from fvslam_graph.sequences.ros.reader import Topic, stamp_of
 
 # In order of preference: what motion capture publishes, then what may be somebody's estimate.
-TYPES = (
+POSE_TYPES = (
     "geometry_msgs/msg/TransformStamped",
     "geometry_msgs/msg/PoseStamped",
     "nav_msgs/msg/Odometry",
@@ -27,7 +27,7 @@ _WANTED = re.compile(r"goal|set_?point|target|initial_?pose|command|cmd|desired"
 def by_preference(topics: Sequence[Topic]) -> list[Topic]:
     """The topics that measure poses, best first: those that are named after a reference, then by their type."""
     measured = [topic for topic in topics if topic.count > 1 and not _WANTED.search(topic.name)]
-    return sorted(measured, key=lambda topic: (not _TRUE.search(topic.name), TYPES.index(topic.type), topic.name))
+    return sorted(measured, key=lambda topic: (not _TRUE.search(topic.name), POSE_TYPES.index(topic.type), topic.name))
 
 
 def pose_of(message: Any) -> tuple[str, int, Numbers]:

@@ -15,7 +15,7 @@ from fvslam_graph.core.errors import SequenceError
 MEND = "a recording that was cut off is mended by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
 Rows = dict[str, list[tuple[int, Any]]]
-"""By topic: when each message was received, ns, and what was taken of it."""
+"""For each topic, the messages: the time of receipt (ns) and what was taken of it."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Bag:
             return []
 
     def collect(self, takes: Mapping[str, Callable[[Any], Any]]) -> tuple[Rows, tuple[str, ...]]:
-        """What is wanted of all messages of several topics, in one pass.
+        """Take what is wanted of all messages of several topics, in one pass.
 
         Args:
             takes: By topic, what to take of a message; a message of which it is None is left out.

@@ -14,8 +14,8 @@ from fvslam_graph.sequences.ground import UAV_TILT, altimeter_readings, level_gr
 from fvslam_graph.sequences.ros.frames import FrameTree
 from fvslam_graph.sequences.ros.reader import stamp_of
 
-RANGE = "sensor_msgs/msg/Range"
-DOWN = 0.9  # of a beam's direction that points down; 26 degrees
+RANGE_TYPE = "sensor_msgs/msg/Range"
+MIN_DOWNWARD = 0.9  # of a beam's direction that points down; 26 degrees
 
 _UNKNOWN = float("nan")
 
@@ -68,9 +68,9 @@ def _sigma(variance: float) -> float:
     return float(np.sqrt(variance)) if variance > 0 else _UNKNOWN  # zero says that nobody knows
 
 
-READERS: dict[str, tuple[SensorKind, Callable[[Any], Reading | None]]] = {
+SENSOR_READERS: dict[str, tuple[SensorKind, Callable[[Any], Reading | None]]] = {
     "sensor_msgs/msg/NavSatFix": (SensorKind.GNSS, _gnss),
-    RANGE: (SensorKind.RANGE, _range),
+    RANGE_TYPE: (SensorKind.RANGE, _range),
     "sensor_msgs/msg/FluidPressure": (SensorKind.PRESSURE, _pressure),
     "mavros_msgs/msg/Altitude": (SensorKind.HEIGHT, _altitude),
 }
@@ -125,4 +125,4 @@ def _looks_down(finder: RangeFinder, tree: FrameTree) -> bool:
     """Whether TF says so: on a vehicle, z points up (REP 103)."""
     carrier = tree.carrier(finder.frame)
     carrier_T_finder = tree.fixed(carrier, finder.frame) if carrier != finder.frame else None
-    return carrier_T_finder is not None and bool(carrier_T_finder.rotation().matrix()[2, 0] < -DOWN)
+    return carrier_T_finder is not None and bool(carrier_T_finder.rotation().matrix()[2, 0] < -MIN_DOWNWARD)
