@@ -74,7 +74,7 @@ def test_the_root_holds_faces_pipeline_and_estimator():
     [
         ("evo", {"core/trajectory.py", "evaluation/association.py", "evaluation/metrics.py"}),
         ("dask", {"study/execution.py"}),
-        ("rosbags", {"sequences/ros/reader.py"}),
+        ("rosbags", {"runs/export/ros2.py", "sequences/ros/reader.py"}),
         ("distributed", {"study/execution.py"}),
     ],
 )

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.extras import extra
 
 MEND = "a recording that was cut off is mended by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
@@ -43,15 +44,14 @@ class Bag:
         topics: Those with messages, by name.
 
     Raises:
-        SequenceError: rosbags is not installed, or the file is damaged or no bag.
+        SequenceError: The file is damaged or no bag.
+        FvslamError: rosbags is not installed.
     """
 
     def __init__(self, path: Path) -> None:
-        try:
+        with extra("bags"):
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
-        except ImportError:
-            raise SequenceError(f"to read the bag {path}, install rosbags: pip install fvslam-graph[bags]") from None
         self.path = path
         try:
             # Bags of ROS 2 before Iron do not define their messages.
