@@ -8,6 +8,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.core.quick import median
+
 UNKNOWN = 10.0  # times the usual inverse depth: the deviation of one that is not known
 COMMON_ERRORS = 5  # errors that depths share: those of rotation and direction
 
@@ -61,7 +63,7 @@ class InverseDepths:
     def of(self, ids: NDArray[np.int64]) -> InverseDepths:
         """The depths of tracks `ids`; those that are not known are as usual, within a large factor."""
         mine, theirs = self.match(ids)
-        usual = float(np.median(self.values)) if len(self) else 0.0
+        usual = median(self.values) if len(self) else 0.0
         depths = InverseDepths.independent(ids, np.full(len(ids), usual), np.full(len(ids), UNKNOWN * usual))
         depths.values[theirs], depths.sigmas[theirs] = self.values[mine], self.sigmas[mine]
         depths.common[theirs] = self.common[mine]

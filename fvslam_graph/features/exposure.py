@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Image
+from fvslam_graph.core.quick import median
 
 REDUCTION = 16  # so small that what moves between two images hardly matters
 CLIPPED = (5, 250)  # grey levels beyond which brightness is not measured
@@ -28,21 +29,21 @@ def exposure_change(before: NDArray[np.float64], after: NDArray[np.float64]) -> 
 
     Least absolute residuals by reweighting.
     """
-    usable = np.all([(image > CLIPPED[0]) & (image < CLIPPED[1]) for image in (before, after)], axis=0)
+    usable = (np.minimum(before, after) > CLIPPED[0]) & (np.maximum(before, after) < CLIPPED[1])
     x, y = before[usable], after[usable]
     if len(x) < 16 or np.ptp(x) < 1:
         return None
     shift, ratio = float(y.mean() - x.mean()), float(y.std() / max(x.std(), 1e-6))
     if abs(shift) < MIN_SHIFT and abs(ratio - 1) < MIN_RATIO:
         return None
-    change = float(np.median(np.abs(y - x)))
+    change = median(np.abs(y - x))
     design, weight = np.column_stack([x, np.ones_like(x)]), np.ones_like(x)
     for _ in range(_EXPOSURE_ITERATIONS):
         weighted = design * weight[:, None]
         gain, offset = np.linalg.solve(weighted.T @ design, weighted.T @ y)
         residual = np.abs(y - gain * x - offset)
         weight = 1 / np.maximum(residual, 1.0)
-    if not (gain > 0 and np.median(residual) < EXPLAINED * change and change > 1):
+    if not (gain > 0 and median(residual) < EXPLAINED * change and change > 1):
         return None
     return float(gain), float(offset)
 

@@ -15,7 +15,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
-from fvslam_graph.vo.relative_pose import KERNEL, START_NOISE, WIDTHS, a_sample, poselib_camera
+from fvslam_graph.vo.relative_pose import KERNEL, ROUGH, START_NOISE, WIDTHS, a_sample, poselib_camera
 from fvslam_graph.vo.reprojection import reprojection_errors
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
@@ -43,7 +43,7 @@ def estimate_absolute_pose(
         "max_iterations": 20 * settings.ransac_iterations,
         "seed": seed,
     }
-    bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE}
+    bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE, "max_iterations": ROUGH}
     some = a_sample(len(points))
     pose, info = poselib.estimate_absolute_pose(pixels[some], points[some], poselib_camera(camera), ransac, bundle)
     if sum(info["inliers"]) * len(points) < settings.min_inliers * len(some):

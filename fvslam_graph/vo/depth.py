@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.quick import median
 from fvslam_graph.core.tracks import variances_along
 from fvslam_graph.vo.epipolar import MatchedRays
 
@@ -72,7 +73,7 @@ def typical_depth(
         height: Of the camera above the ground, metres; NaN where unknown.
     """
     if len(known):
-        return float(1 / np.median(known.values))
+        return float(1 / median(known.values))
     if down is None or not height > 0 or not len(rays):
         return UNKNOWN_DEPTH
-    return height * float(np.median(1 / np.maximum(rays @ down, 1 / GROUND_REACH)))
+    return height * median(1 / np.maximum(rays @ down, 1 / GROUND_REACH))

@@ -15,6 +15,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import Config, ScaleSource
 from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale, ScaledPose
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
+from fvslam_graph.core.quick import median
 from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.tracks import FeatureTracker, Tracks
@@ -175,7 +176,7 @@ class VisualOdometry:
             rotation, unexplained = fit_rotation(
                 rays(self.camera, tracks.keyframe), rays(self.camera, tracks.current), self.camera.fx
             )
-            parallax = float(np.median(unexplained))
+            parallax = median(unexplained)
         motion = self._estimate_motion(frame, tracks, rotation, parallax)
         return None if motion is None else replace(motion, parallax=parallax)
 
@@ -225,10 +226,10 @@ class VisualOdometry:
             return None
         last, current = self._seen.current[before], tracks.current[now]
         limit = self.settings.static_rotation * self.camera.fx
-        if np.median(np.linalg.norm(current - last, axis=1)) > limit:
+        if median(np.linalg.norm(current - last, axis=1)) > limit:
             return None
         rotation, unexplained = fit_rotation(rays(self.camera, last), rays(self.camera, current), self.camera.fx)
-        return rotation if np.median(unexplained) < self.settings.static_parallax else None
+        return rotation if median(unexplained) < self.settings.static_parallax else None
 
     def _static(self, tracks: Tracks, shaken: gtsam.Rot3) -> _Motion:
         """No translation, with the uncertainty of a parallax that counts as none."""
@@ -423,7 +424,7 @@ class VisualOdometry:
     def _guess(self, unit: InverseDepths) -> LogScale:
         """The scale at which triangulated points are as far away as things usually are."""
         seen = unit.values[unit.values > 0]
-        return LogScale(math.log(self._typical_depth() * float(np.median(seen))) if len(seen) else 0.0, GUESS)
+        return LogScale(math.log(self._typical_depth() * median(seen)) if len(seen) else 0.0, GUESS)
 
     def _typical_depth(self) -> float:
         """Metres to what is seen."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.quick import median
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.vo_estimate import CalibrationEvidence
@@ -30,6 +32,7 @@ CONVERGED_STEP = 1e-5  # rad, of a step
 SAME = 1e-3  # rad between rotations, and ten times that between directions, of one and the same solution
 CLEARLY = 4.0  # deviations beyond which a match does not count
 MAX_STEP = 0.1  # rad, step of the refinement
+ROUGH = 5  # iterations of PoseLib's refinement, which is done again with all tracks
 RANSAC_TRACKS = 120  # that RANSAC looks at, at least, where there are more
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
@@ -112,7 +115,7 @@ def estimate_relative_pose(
         "max_iterations": 20 * settings.ransac_iterations,
         "seed": seed,
     }
-    bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE}
+    bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE, "max_iterations": ROUGH}
     some = tracks[a_sample(len(tracks))]
     pose, _ = poselib.estimate_relative_pose(some.keyframe, some.current, model, model, ransac, bundle)
     found = gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
@@ -161,7 +164,7 @@ class _Matches:
         """
         errors = np.abs(distance[self._corners])
         errors = errors[errors < limit]
-        return max(float(np.median(errors)) / 0.6745, MIN_NOISE) if len(errors) else limit
+        return max(median(errors) / 0.6745, MIN_NOISE) if len(errors) else limit
 
     def ahead(self, rotation: gtsam.Rot3, direction: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
         """(N,) which points are not seen behind the camera by more than a limit in the current image, pixels.
@@ -221,7 +224,7 @@ class _Fit:
         ahead = values > 0
         if not ahead.any():
             return cost + len(mine) * float(np.log1p((MAX_BEHIND / KERNEL) ** 2))
-        scale = float(np.exp(np.median(np.log(values[ahead] / expected[ahead]))))
+        scale = math.exp(median(np.log(values[ahead] / expected[ahead])))
         for _ in range(SCALE_ITERATIONS):
             total = variance + scale**2 * doubt
             square = (values - scale * expected) ** 2 / total

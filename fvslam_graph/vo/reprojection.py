@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.quick import median
 from fvslam_graph.core.tracks import Tracks
 
 MIN_DEPTH_RATIO = 0.05  # times as far away as in the keyframe: nearer than that, nothing is followed
@@ -55,7 +56,7 @@ class ReprojectionErrors:
         """Robust standard deviation across the lines where texture tells it, of those that agree; 1 if all is right."""
         agree = self.agree
         across = np.abs(self.values[self.sharp & agree if np.any(self.sharp & agree) else agree, 0])
-        return float(np.median(across)) / 0.6745 if len(across) else 1.0
+        return median(across) / 0.6745 if len(across) else 1.0
 
 
 def reprojection_errors(

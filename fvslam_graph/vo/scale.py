@@ -11,6 +11,7 @@ from fvslam_graph.core.config import ScaleSettings, ScaleSource
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
+from fvslam_graph.core.quick import median
 from fvslam_graph.core.vo_estimate import ScaleStep
 from fvslam_graph.vo.ground_plane import GroundAligner
 from fvslam_graph.vo.relative_pose import TwoViews
@@ -94,7 +95,7 @@ class MetricScale:
         unit, known = unit[usable], known[usable]
         log_ratio = np.log(unit.values / known.values)
         sigma = np.hypot(unit.sigmas / unit.values, known.sigmas / known.values)
-        mean = float(np.median(log_ratio))
+        mean = median(log_ratio)
         for _ in range(10):
             weight = 1 / (sigma**2 * (1 + ((log_ratio - mean) / sigma / 2) ** 2))
             mean = float((weight * log_ratio).sum() / weight.sum())
