@@ -124,7 +124,9 @@ class FrameEstimator:
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
         measures = _measures(config, odometry, slam)
-        return FrameResult(frame.index, frame.stamp, fusion.pose, status, previous, motion, measures, times, slam)
+        return FrameResult(
+            frame.index, frame.stamp, fusion.pose, status, previous, motion, measures, times, slam, fusion.enu
+        )
 
     def through(self, sequence: Sequence) -> Iterator[FrameResult]:
         """Estimate all frames of a sequence, which are read one by one; the result of each as soon as it is known."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fvslam_graph.core.config import Config, ScaleSource
+from fvslam_graph.core.config import Config, Mode, ScaleSource
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.core.sensors import SensorKind
@@ -19,6 +20,8 @@ from fvslam_graph.runs.run_folder import RunWriter, read_run
 
 Watch = Callable[[Iterable[FrameResult]], Iterable[FrameResult]]
 """Takes results as they come; hands them on."""
+
+ENU_COLUMNS = ("east", "north", "up", "east_sigma", "north_sigma", "up_sigma")
 
 
 def run_sequence(
@@ -38,9 +41,11 @@ def run_sequence(
     """
     config = resolve_config(config, sequence)
     metadata = run_metadata(sequence, config)
-    gnss = next((series for series in sequence.sensors if series.kind is SensorKind.GNSS), None)
+    gnss = sequence.gnss or next((series for series in sequence.sensors if series.kind is SensorKind.GNSS), None)
     estimator = frame_estimator(sequence, config)
     results, finish = watch(estimator.through(sequence)), estimator.finish
+    if sequence.gnss is not None:
+        results = map(_with_enu_columns, results)
     if out is None:
         return collect(results, config, metadata, sequence.ground_truth, gnss, finish)
     with RunWriter(out, config, metadata, sequence.ground_truth, gnss, finish) as writer:
@@ -53,8 +58,21 @@ def resolve_config(config: Config, sequence: Sequence) -> Config:
     """The settings that hold for a sequence: without a known ground, the scale is relative.
 
     Raises:
-        ConfigError: The scale source is `oracle` and there is no ground truth.
+        ConfigError: The scale source is `oracle` and there is no ground truth; or fixes of a receiver are to be used
+            without a factor graph or without metres.
     """
+    config = _with_known_scale(config, sequence)
+    if sequence.gnss is not None and config.mode is not Mode.GRAPH:
+        raise ConfigError(f"fixes of a GNSS receiver are used in mode graph alone, not in {config.mode}")
+    if sequence.gnss is not None and config.scale.relative:
+        raise ConfigError(
+            f"fixes of a GNSS receiver are used in runs in metres, and nothing tells those of {sequence.name}; "
+            "give --camera-height or --altimeter, or place the finished run by `fvslam export --gnss`"
+        )
+    return config
+
+
+def _with_known_scale(config: Config, sequence: Sequence) -> Config:
     source = config.scale.source
     if source is ScaleSource.ORACLE and sequence.ground_truth is None:
         raise ConfigError(f"{sequence.name} has no ground truth for the scale source 'oracle'; choose another source")
@@ -78,6 +96,17 @@ def run_metadata(sequence: Sequence, config: Config) -> dict[str, Any]:
         "scale_source": config.scale.source.value,
         "ground": None if sequence.ground is None else sequence.ground.source,
         "down": None if sequence.ground is None else sequence.ground.normal,
+        "gnss": None if sequence.gnss is None else sequence.gnss.source,
         "notes": list(sequence.notes),
         "seed": config.seed,
     }
+
+
+def _with_enu_columns(result: FrameResult) -> FrameResult:
+    """The result with the camera's place on Earth among its measures, NaN before it is known."""
+    numbers = np.full(6, np.nan)
+    if result.enu is not None:
+        rotation = result.enu.mean.rotation().matrix()
+        variances = np.diag(rotation @ result.enu.covariance[3:, 3:] @ rotation.T)
+        numbers = np.concatenate([result.enu.mean.translation(), np.sqrt(variances)])
+    return replace(result, measures=dict(result.measures) | dict(zip(ENU_COLUMNS, numbers.tolist(), strict=True)))

@@ -6,6 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.slam_estimate import SlamEstimate
 from fvslam_graph.core.trajectory import Status, Trajectory
@@ -31,6 +34,19 @@ class CalibrationEstimate:
 
 
 @dataclass(frozen=True)
+class EarthPlacement:
+    """Where the world of a run is on Earth.
+
+    Attributes:
+        origin: (3,) latitude, longitude (degrees, WGS84) and altitude (m) of the place.
+        enu_T_world: From the world to east, north, up at this place, metres; with its covariance.
+    """
+
+    origin: NDArray[np.float64]
+    enu_T_world: GaussianPose
+
+
+@dataclass(frozen=True)
 class Ending:
     """What all frames together say, once the last one was seen.
 
@@ -39,12 +55,14 @@ class Ending:
         summary: How many poses that is, or why there are none.
         calibration: The camera as the measurements tell it; None where they do not.
         write: Writes G2O, LANDMARKS_PLY, FACTORS and VALUES into a folder; raises an EstimationError without poses.
+        placement: Of the smoothed poses on Earth; None where no fixes of a receiver tell it.
     """
 
     smoothed: Trajectory | None
     summary: str
     calibration: CalibrationEstimate | None
     write: Callable[[Path], None]
+    placement: EarthPlacement | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +79,7 @@ class FrameResult:
         measures: Columns of frames.csv, such as tracks, inliers, scale (m per unit baseline), scale_sigma.
         times: Milliseconds by stage. Measures and stages have the same names in every frame of a run.
         slam: What visual SLAM says, where it ran on this frame.
+        enu: enu_T_camera, east, north, up from the first fix of a receiver; None before fixes tell it.
     """
 
     index: int
@@ -72,3 +91,4 @@ class FrameResult:
     measures: Mapping[str, float]
     times: Mapping[str, float]
     slam: SlamEstimate | None = None
+    enu: GaussianPose | None = None

@@ -21,6 +21,21 @@ class SensorKind(StrEnum):
 
 
 @dataclass(frozen=True)
+class Fix:
+    """One position by a GNSS receiver.
+
+    Attributes:
+        stamp: Seconds on the clock of the images.
+        place: (3,) latitude, longitude (degrees) and altitude (m), WGS84.
+        sigmas: (3,) standard deviations east, north, up, metres.
+    """
+
+    stamp: float
+    place: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class SensorSeries:
     """Readings of one sensor over time.
 

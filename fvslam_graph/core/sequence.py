@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import cv2
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera, Distortion, Image, Rectifier
 from fvslam_graph.core.errors import SequenceError
-from fvslam_graph.core.sensors import SensorSeries
+from fvslam_graph.core.sensors import Fix, SensorSeries
 from fvslam_graph.core.trajectory import Trajectory
 
+FIRST_FIX = 1e-3  # seconds before the first frame at which a fix is still of it
 MAX_RESIDUAL_K1 = 0.3  # k1; more is no rest that a calibration has left
 
 
@@ -29,6 +31,8 @@ class Frame:
         image: (H, W) uint8, rectified; None where no usable image could be read.
         height: Metres from the camera to the ground plane below it; NaN where unknown.
         height_sigma: Its standard deviation, metres.
+        fixes: Positions that a GNSS receiver has measured since the frame before.
+        gravity: (3,) direction of gravity in the camera, down; None where it is not measured.
     """
 
     index: int
@@ -36,6 +40,8 @@ class Frame:
     image: Image | None
     height: float = float("nan")
     height_sigma: float = 0.0
+    fixes: tuple[Fix, ...] = ()
+    gravity: NDArray[np.float64] | None = None
 
 
 class DuplicateFilter:
@@ -103,6 +109,7 @@ class Sequence:
         ground_truth: world_T_camera of this camera; its stamps need not be those of the images.
         ground: What is known about the ground plane.
         sensors: Readings of other sensors, over the whole recording.
+        gnss: Those fixes of a receiver that estimators are to use, with their deviations; see `with_gnss`.
         notes: Gaps and oddities found on opening, one sentence each.
         source: What `open_sequence` takes to open it again; None where that is not known.
     """
@@ -115,6 +122,7 @@ class Sequence:
     ground_truth: Trajectory | None = None
     ground: Ground | None = None
     sensors: tuple[SensorSeries, ...] = ()
+    gnss: SensorSeries | None = None
     notes: tuple[str, ...] = ()
     source: dict[str, Any] | None = None
 
@@ -131,9 +139,36 @@ class Sequence:
         if image is not None and image.shape != (self.camera.height, self.camera.width):
             image = None
         stamp = float(self.stamps[index])
+        fixes = self._fixes(stamp - FIRST_FIX if index == 0 else float(self.stamps[index - 1]), stamp)
         if self.ground is None:
-            return Frame(index, stamp, image)
-        return Frame(index, stamp, image, float(self.ground.heights[index]), self.ground.height_sigma)
+            return Frame(index, stamp, image, fixes=fixes)
+        return Frame(index, stamp, image, float(self.ground.heights[index]), self.ground.height_sigma, fixes)
+
+    def with_gnss(self, fixes: SensorSeries, sigma: float | None = None) -> Sequence:
+        """The sequence with fixes that its estimator uses.
+
+        Args:
+            fixes: Of kind GNSS.
+            sigma: Standard deviation along each axis, metres, in place of those of the series.
+
+        Raises:
+            SequenceError: The deviation is not given, or no positive number.
+        """
+        sigmas = fixes.sigmas if sigma is None else np.full_like(fixes.sigmas, sigma)
+        if not (sigmas > 0).all():  # also where it is not a number
+            raise SequenceError(
+                f"{fixes.source}: the standard deviation of a position must be a positive number of metres; "
+                "give it by --gnss-sigma"
+            )
+        return replace(self, gnss=replace(fixes, sigmas=sigmas))
+
+    def _fixes(self, begin: float, end: float) -> tuple[Fix, ...]:
+        """The fixes after `begin`, up to `end`, seconds."""
+        if self.gnss is None:
+            return ()
+        first, last = np.searchsorted(self.gnss.stamps, (begin, end), side="right")
+        rows = zip(self.gnss.stamps, self.gnss.values, self.gnss.sigmas[:, [1, 0, 2]], strict=True)
+        return tuple(Fix(float(stamp), *row) for stamp, *row in islice(rows, int(first), int(last)))
 
     def select(self, start: int | None = None, stop: int | None = None, stride: int = 1) -> Sequence:
         """The frames start, start + stride, ... before stop, as a sequence of its own."""

@@ -65,6 +65,11 @@ class Fusion(ABC):
         """Take in what images say of the calibration of the file, if there is a variable for it."""
         return
 
+    @property
+    def enu(self) -> GaussianPose | None:
+        """enu_T_camera of the newest frame; None where nothing tells it."""
+        return None
+
     def finish(self) -> Ending | None:
         """What all frames together say; None where nothing is smoothed."""
         return None

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings, GroundSettings
 from fvslam_graph.core.errors import EstimationError
-from fvslam_graph.core.frame_result import CalibrationEstimate, Ending
+from fvslam_graph.core.frame_result import CalibrationEstimate, EarthPlacement, Ending
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
+from fvslam_graph.core.geodesy import LocalFrame
 from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.vo_estimate import CalibrationEvidence, OdometryStep
@@ -44,10 +45,12 @@ class GraphFusion(Fusion):
         roughness: float = GroundSettings().roughness,
     ) -> None:
         super().__init__()
-        self.graph = Graph(camera, settings, relative)
+        self.graph = Graph(camera, settings, relative, ground)
         self._settings = settings
         self._down = ground.normal if ground is not None and settings.heights else None
         self._roughness = roughness
+        self._earth: LocalFrame | None = None  # at the first fix
+        self._enu: GaussianPose | None = None  # enu_T_camera at the last P_f
         self._newest = 0  # frame
         # Online poses of the newest frame and of the one that its motion starts from. Where this is before the last
         # P_f, what the motion to P_f erred about is not counted: the next motion does without it.
@@ -58,7 +61,7 @@ class GraphFusion(Fusion):
         self._step, self._left = np.zeros(3), 0.0
 
     def add_odometry(self, frame: Frame, step: OdometryStep) -> None:
-        """Append the motion of a frame, and the height above level ground, if this is asked for."""
+        """Append the motion of a frame, its fixes, and height above level ground and gravity, if these are given."""
         super().add_odometry(frame, step)
         self._newest = frame.index
         self._step = self._left * self._step
@@ -71,6 +74,11 @@ class GraphFusion(Fusion):
         if self._down is not None and frame.height > 0:
             sigma = math.hypot(frame.height_sigma, self._roughness * frame.height)
             self.graph.add_height(frame.height, sigma, self._down)
+        if frame.gravity is not None:
+            self.graph.add_gravity(frame.gravity)
+        for fix in frame.fixes:
+            self._earth = self._earth or LocalFrame(fix.place)
+            self.graph.add_position(fix.stamp, self._earth.enu(fix.place[None])[0], fix.sigmas)
 
     @property
     def pose(self) -> GaussianPose:
@@ -79,6 +87,11 @@ class GraphFusion(Fusion):
         What the graph corrects at once, the online path takes up over about an interval, so that it does not jump.
         """
         return _moved(self._poses[self._newest], self._step)
+
+    @property
+    def enu(self) -> GaussianPose | None:
+        """Where the graph has the camera on Earth, carried on by odometry since the last P_f."""
+        return None if self._enu is None else self._enu.compose(self._chain.motion.total)
 
     def start(self, pose: GaussianPose, observations: LandmarkObservations) -> None:
         """Landmarks begin at the newest frame."""
@@ -102,6 +115,7 @@ class GraphFusion(Fusion):
             self._left = math.exp(-1 / (self._newest - before))
             self._step = self._step + self._left * (expected - self.reference.mean.translation())
         self._published[self._newest] = self.reference.mean.translation()
+        self._enu = self.graph.enu_T_camera(self._newest)
         return self.motion if fused is None else fused
 
     def calibrate(self, evidence: CalibrationEvidence) -> None:
@@ -115,7 +129,12 @@ class GraphFusion(Fusion):
             smoothed = graph.smoothed()
         except EstimationError as error:
             return Ending(None, f"not determined: {error}", None, graph.write)
-        return Ending(smoothed, f"{len(smoothed)} of {graph.frames} poses", self._calibration(), graph.write)
+        summary, placement = f"{len(smoothed)} of {graph.frames} poses", self._placement()
+        return Ending(smoothed, summary, self._calibration(), graph.write, placement)
+
+    def _placement(self) -> EarthPlacement | None:
+        enu_T_world = self.graph.enu_T_world()
+        return None if self._earth is None or enu_T_world is None else EarthPlacement(self._earth.origin, enu_T_world)
 
     def _calibration(self) -> CalibrationEstimate | None:
         try:

@@ -15,6 +15,7 @@ from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.frame_result import CalibrationEstimate
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
+from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.slam_estimate import LandmarkObservations
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.core.vo_estimate import CalibrationEvidence, OdometryStep
@@ -24,10 +25,12 @@ from fvslam_graph.graph.calibration import (
 )
 from fvslam_graph.graph.export import write_graph
 from fvslam_graph.graph.factors import (
+    ENU,
     SHORT,
     LandmarkFactors,
     calibrated_motion_factors,
     filed_key,
+    gravity_factor,
     height_factor,
     is_pose,
     landmark_key,
@@ -40,6 +43,7 @@ from fvslam_graph.graph.gating import contradiction
 from fvslam_graph.graph.landmark_candidates import LandmarkCandidates, LandmarkObservation
 from fvslam_graph.graph.pending_update import PendingUpdate
 from fvslam_graph.graph.pixel_noise import PixelNoise
+from fvslam_graph.graph.positions import GraphFix, Positions
 from fvslam_graph.graph.scale_chain import ScaleChain
 from fvslam_graph.graph.solver import Solver
 
@@ -57,9 +61,12 @@ class Graph:
         camera: Undistorted.
         settings: Which factors, how robust, how long they are kept.
         relative: Nothing tells metres: the first scale of odometry is taken as it is.
+        ground: What is known of which way is down.
     """
 
-    def __init__(self, camera: Camera, settings: GraphSettings, relative: bool = False) -> None:
+    def __init__(
+        self, camera: Camera, settings: GraphSettings, relative: bool = False, ground: Ground | None = None
+    ) -> None:
         self.settings = settings
         self.solver = Solver(settings)
         self._camera = self._refined = camera  # as its file has it, and as it is known now
@@ -68,6 +75,7 @@ class Graph:
         self._noise = PixelNoise(settings.pixel_sigma)
         self._update = PendingUpdate(self.solver)
         self._scales = ScaleChain(self._update, relative)
+        self._positions = Positions(self._update, settings, ground)
         self._counts: dict[int, int] = {}  # landmarks that each interleaved frame shows
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
         self._stamps: list[float] = []  # of all frames
@@ -77,6 +85,7 @@ class Graph:
         self._fused = 0  # the frame of the last reference P_f
         self._observations: LandmarkObservations | None = None  # of that frame
         self._start_height = math.nan
+        self._down: Array | None = None  # (3,) in the world, by the first reading of gravity
         if settings.landmarks == "projection":
             self.add(self._landmark_factors.calibration.prior())
             self._update.insert(CALIBRATION, self._landmark_factors.calibration.start)
@@ -109,6 +118,21 @@ class Graph:
             self._start_height = height
         self.add(height_factor(len(self._poses) - 1, height - self._start_height, math.sqrt(2) * sigma, down))
 
+    def add_gravity(self, down: Array) -> None:
+        """The direction of gravity (3,), in the newest camera."""
+        frame = len(self._poses) - 1
+        if self._down is None:
+            self._down = self._poses[frame].rotation().rotate(down)
+        self.add(gravity_factor(frame, self._down, down))
+
+    def add_position(self, stamp: float, enu: Array, sigmas: Array) -> None:
+        """A position east, north, up (3,), metres, between the last two frames, with its standard deviations."""
+        frame, lever = len(self._poses) - 1, np.zeros(3)
+        if frame > 0:
+            share = (self._stamps[-1] - stamp) / (self._stamps[-1] - self._stamps[-2])
+            lever = share * self._poses[frame].transformTo(self._poses[frame - 1].translation())
+        self._positions.add(GraphFix(frame, enu, sigmas, lever))
+
     def add_calibration(self, evidence: CalibrationEvidence) -> None:
         """What images say of the calibration of the file, apart from the motions and landmarks of this graph."""
         if self._update.has(CALIBRATION):
@@ -129,6 +153,7 @@ class Graph:
         """
         index = len(self._poses) - 1
         self._take_motions(observations)
+        self._positions.take(self._poses, self.world_T_enu)
         if observations is not None and self.settings.landmarks != "none":
             self._see(index, observations)
         self._solve()
@@ -155,6 +180,23 @@ class Graph:
         return np.array([self._poses[frame].translation() for frame in frames])
 
     @property
+    def world_T_enu(self) -> gtsam.Pose3 | None:
+        """Where east, north, up is in the world; None before positions tell it."""
+        return self.solver.pose(ENU) if self.solver.has(ENU) else None
+
+    def enu_T_world(self) -> GaussianPose | None:
+        """Where the world is on Earth, with its marginal covariance."""
+        if self.world_T_enu is None:
+            return None
+        return GaussianPose(self.world_T_enu, self.solver.covariance(ENU)).inverse()
+
+    def enu_T_camera(self, frame: int) -> GaussianPose | None:
+        """Where the camera is on Earth at one of the newest frames, with its marginal covariance."""
+        if self.world_T_enu is None or not self.has(frame):
+            return None
+        return _motion(self.solver, ENU, pose_key(frame), self.world_T_enu, self._poses[frame])
+
+    @property
     def frames(self) -> int:
         """How many there are."""
         return len(self._poses)
@@ -176,6 +218,7 @@ class Graph:
         """
         try:
             self._take_motions(None)
+            self._positions.take(self._poses, self.world_T_enu)
             if self._update.factors.size():
                 self._solve()
             self.solver.optimize()
@@ -312,8 +355,8 @@ class Graph:
         return self._update.values.atPose3(key) if self._update.values.exists(key) else self.solver.linearised(key)
 
     def _solve(self) -> None:
-        if self._update.has(CALIBRATION):
-            self._update.stamps[CALIBRATION] = self._stamps[-1]  # within any lag
+        for lasting in filter(self._update.has, (CALIBRATION, ENU)):
+            self._update.stamps[lasting] = self._stamps[-1]  # within any lag
         self._update.solve()
         if self.solver.has(CALIBRATION):
             self._refined = self._landmark_factors.calibration.camera(self.solver.calibration())

@@ -22,6 +22,8 @@ MIN_VARIANCE = 1e-10  # rad^2 and m^2: no factor is exact, and what is known of 
 TIGHT = (
     1e-3  # share of its covariance that a motion gets for being told in two steps: what is exact, solvers do not like
 )
+GRAVITY_SIGMA = 0.02  # rad, of the direction that an inertial unit's filter tells while the vehicle accelerates
+ENU = int(gtsam.symbol("e", 0))  # the key of world_T_enu, where east, north, up at a place on Earth is in the world
 SHORT = 1e-3  # metres; shorter motions have no direction that could be told, nor a length along it
 
 _KERNELS: dict[str, Callable[[float], gtsam.noiseModel.mEstimator.Base]] = {
@@ -228,6 +230,12 @@ def height_factor(frame: int, height: float, sigma: float, down: Array) -> gtsam
     axes = np.column_stack([*gtsam.Unit3(down).basis().T, down])
     covariance = axes @ np.diag([1e8, 1e8, sigma**2]) @ axes.T  # nothing is said of where it is above ground
     return gtsam.GPSFactor(pose_key(frame), -height * down, gtsam.noiseModel.Gaussian.Covariance(covariance))
+
+
+def gravity_factor(frame: int, world_down: Array, down: Array) -> gtsam.NonlinearFactor:
+    """The direction of gravity (3,) in the camera at a frame, which is `world_down` in the world."""
+    noise = gtsam.noiseModel.Isotropic.Sigma(2, math.sqrt(2) * GRAVITY_SIGMA)  # both were measured
+    return gtsam.AttitudeFactorPose3(pose_key(frame), gtsam.Unit3(world_down), noise, gtsam.Unit3(down))
 
 
 def position_factor(frame: int, position: Array, sigma: float) -> gtsam.NonlinearFactor:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.graph.calibration import CALIBRATION, is_camera
-from fvslam_graph.graph.factors import is_filed, is_landmark, is_pose
+from fvslam_graph.graph.factors import ENU, is_filed, is_landmark, is_pose
 from fvslam_graph.graph.marginalization import Marginalization, astray
 
 _log = logging.getLogger(__name__)
@@ -158,7 +158,7 @@ class Solver:
     def _empty(self) -> gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother:
         parameters = gtsam.ISAM2Params()
         thresholds = gtsam.ISAM2ThresholdMap()
-        for pose in ("x", "y"):
+        for pose in ("x", "y", "e"):
             thresholds.insert((pose, np.repeat([RELINEARIZE_ROTATION, self._settings.relinearise], 3)))
         thresholds.insert(
             ("c", np.array([RELINEARIZE_CALIBRATION * 1e3, RELINEARIZE_CALIBRATION, RELINEARIZE_CALIBRATION]))
@@ -282,11 +282,12 @@ class Solver:
     def _keep_within(self, values: gtsam.Values) -> None:
         """Keep the factors whose variables are all within the lag.
 
-        The oldest pose stays where it is, and the camera as it is, whose prior is beyond the lag.
+        The oldest pose stays where it is, and the camera and the place on Earth as they are: what held them is beyond
+        the lag.
         """
         self._remove(lambda key: not values.exists(key))
-        if values.exists(CALIBRATION):
-            self._add(_prior(CALIBRATION, values, ANCHOR_SIGMA))
+        for lasting in filter(values.exists, (CALIBRATION, ENU)):
+            self._add(_prior(lasting, values, ANCHOR_SIGMA))
         oldest = min((key for key in values.keys() if is_pose(key)), key=lambda key: self._stamps[key])  # noqa: SIM118
         self._add(_prior(oldest, values, ANCHOR_SIGMA))
 
@@ -306,7 +307,7 @@ class Solver:
 
 def _prior(key: int, values: gtsam.Values, sigma: float) -> gtsam.NonlinearFactor:
     """That a variable is where it is."""
-    if is_pose(key) or is_filed(key):
+    if is_pose(key) or is_filed(key) or key == ENU:
         return gtsam.PriorFactorPose3(key, values.atPose3(key), gtsam.noiseModel.Isotropic.Sigma(6, sigma))
     if key == CALIBRATION:
         return gtsam.PriorFactorCal3Bundler(key, values.atCal3Bundler(key), gtsam.noiseModel.Isotropic.Sigma(3, sigma))

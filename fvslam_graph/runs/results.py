@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from fvslam_graph.core.frame_result import Ending, FrameResult
+from fvslam_graph.core.frame_result import EarthPlacement, Ending, FrameResult
 from fvslam_graph.core.sensors import SensorSeries
 from fvslam_graph.core.trajectory import Trajectory
 
@@ -72,11 +72,25 @@ class Run:
 
 
 def ending_info(ending: Ending | None) -> dict[str, Any]:
-    """What run.json says of the end: how many poses are `smoothed`, and the `calibration` with its deviations."""
+    """What run.json says of the end.
+
+    How many poses are `smoothed`, the `calibration` with its deviations, and the `placement` on Earth.
+    """
     if ending is None:
         return {}
     calibration = {"calibration": asdict(ending.calibration)} if ending.calibration else {}
-    return {"smoothed": ending.summary} | calibration
+    placement = {} if ending.placement is None else {"placement": _placement_info(ending.placement)}
+    return {"smoothed": ending.summary} | calibration | placement
+
+
+def _placement_info(placement: EarthPlacement) -> dict[str, Any]:
+    """Plain numbers: the origin, enu_T_world (4, 4) and its covariance (6, 6), rotation first."""
+    enu_T_world = placement.enu_T_world
+    return {
+        "origin": placement.origin.tolist(),
+        "enu_T_world": enu_T_world.mean.matrix().tolist(),
+        "covariance": enu_T_world.covariance.tolist(),
+    }
 
 
 def collect(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import ResultsError
-from fvslam_graph.core.extras import extra
+from fvslam_graph.core.geodesy import LocalFrame
 from fvslam_graph.core.sensors import SensorSeries
 from fvslam_graph.core.trajectory import Trajectory
 
@@ -79,7 +79,7 @@ class Georeference:
                 f"{fixes.source} has {len(places)} fixes while the run has poses, at least {MIN_FIXES} are needed; are "
                 "its stamps of the same clock?"
             )
-        enu = _to_enu(places, places[0])
+        enu = LocalFrame(places[0]).enu(places)
         if min(np.linalg.norm(np.ptp(enu, axis=0)), np.linalg.norm(np.ptp(near.positions, axis=0))) < MIN_SPREAD:
             raise ResultsError(f"{fixes.source}: its fixes, or the poses of the run, are all within {MIN_SPREAD:g} m")
         aligned = gtsam.Similarity3.Align(list(zip(enu, near.positions, strict=True)))
@@ -103,19 +103,11 @@ class Georeference:
         Raises:
             FvslamError: pymap3d is not installed.
         """
-        with extra("geo"):
-            import pymap3d
-        return np.column_stack(pymap3d.enu2geodetic(*self.enu(points).T, *self.origin))
+        return LocalFrame(self.origin).geodetic(self.enu(points))
 
     def covariances(self, covariances: Array) -> Array:
         """Covariances (N, 3, 3) of positions in the world as those of east, north, up, m^2."""
         return self.scale**2 * self.rotation @ covariances @ self.rotation.T
-
-
-def _to_enu(places: Array, origin: Array) -> Array:
-    with extra("geo"):
-        import pymap3d
-    return np.column_stack(pymap3d.geodetic2enu(*places.T, *origin))
 
 
 def _level_axes(down: Sequence[float] | None) -> Array:
