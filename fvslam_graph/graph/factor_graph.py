@@ -49,6 +49,7 @@ from fvslam_graph.graph.solver import Solver
 
 Array = NDArray[np.float64]
 
+MAX_DISPLACEMENT = 0.5  # deviations of a position
 RECENT = 60  # frames before the last fusion whose poses the next one can still use
 
 
@@ -153,7 +154,8 @@ class Graph:
         """
         index = len(self._poses) - 1
         self._take_motions(observations)
-        self._positions.take(self._poses, self.world_T_enu)
+        if self._positions.take(self._poses, self.world_T_enu):
+            self._keep_kernels_right()
         if observations is not None and self.settings.landmarks != "none":
             self._see(index, observations)
         self._solve()
@@ -324,6 +326,15 @@ class Graph:
             self._update.insert(landmark_key(candidate.landmark), point)
             for view in candidate.observations:
                 self._observe(candidate.landmark, view)
+
+    def _keep_kernels_right(self) -> None:
+        """Have all linearised again where positions would be held against a place on Earth that has moved since."""
+        key = pose_key(self._fused)
+        if self.world_T_enu is not None and self.has(self._fused):
+            there = self.solver.linearised(ENU).transformTo(self.solver.linearised(key).translation())
+            now = self.world_T_enu.transformTo(self._poses[self._fused].translation())
+            if np.linalg.norm(now - there) > MAX_DISPLACEMENT * self._positions.least_sigma:
+                self.solver.linearise_again()
 
     def _learn(self, observations: LandmarkObservations) -> None:
         """How well the landmarks that are seen now fit where the graph has them."""

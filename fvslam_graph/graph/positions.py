@@ -47,6 +47,9 @@ class Positions:
         update: Collects factors and variables.
         settings: How robust.
         ground: Tells which way is up.
+
+    Attributes:
+        least_sigma: The least deviation of a position that was taken in, metres.
     """
 
     def __init__(self, update: PendingUpdate, settings: GraphSettings, ground: Ground | None = None) -> None:
@@ -55,31 +58,37 @@ class Positions:
         if ground is not None:
             self._up, self._up_sigma = -ground.normal, math.hypot(UP_SIGMA, ground.normal_sigma)
         self._waiting: list[GraphFix] = []
+        self.least_sigma = math.inf
         self._tried = 0  # fixes that did not suffice
 
     def add(self, fix: GraphFix) -> None:
         """Take in a fix."""
         self._waiting.append(fix)
 
-    def take(self, poses: list[gtsam.Pose3], world_T_enu: gtsam.Pose3 | None) -> None:
+    def take(self, poses: list[gtsam.Pose3], world_T_enu: gtsam.Pose3 | None) -> bool:
         """Append the fixes that wait, if it is known where the world is.
 
         Args:
             poses: Of all frames, as known now.
             world_T_enu: Likewise; None before the graph has it.
+
+        Returns:
+            Whether there were any.
         """
         self._waiting = [fix for fix in self._waiting if self._update.has(pose_key(fix.frame))]  # not beyond the lag
         if world_T_enu is None:
             if len(self._waiting) == self._tried:
-                return
+                return False
             self._tried = len(self._waiting)
             world_T_enu = self._begin(poses)
             if world_T_enu is None:
-                return
+                return False
         for fix in self._waiting:
             rotation = world_T_enu.rotation().between(poses[fix.frame].rotation())
             self._update.add(enu_factor(fix, rotation, self._settings))
-        self._waiting = []
+            self.least_sigma = min(self.least_sigma, max(float(fix.sigmas.min()), MIN_SIGMA))
+        taken, self._waiting = bool(self._waiting), []
+        return taken
 
     def _begin(self, poses: list[gtsam.Pose3]) -> gtsam.Pose3 | None:
         """The first alignment, as a variable with what is known of it besides the fixes."""

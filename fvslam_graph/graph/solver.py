@@ -48,6 +48,7 @@ class Solver:
         self._sighted: list[float] = []  # when landmarks were seen
         self._updates = 0
         self._relinearised = 0  # number of the update that linearised again what had moved
+        self._due = False  # whether the next update is to do so
         self._begin()
 
     def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
@@ -87,6 +88,10 @@ class Solver:
             self._take(self.factors(), optimum)
         except RuntimeError as error:
             self._recover(error)
+
+    def linearise_again(self) -> None:
+        """Have the next update linearise again what has moved; within a lag every one does."""
+        self._due = True
 
     def values(self) -> gtsam.Values:
         """The estimate of all variables, with landmarks that were marginalized.
@@ -180,7 +185,7 @@ class Solver:
         if self._settings.lag is None:
             self._updates += 1
             self._take(factors, values)
-            if self._updates - self._relinearised >= RELINEARIZE_GROWTH * self._updates:
+            if self._due or self._updates - self._relinearised >= RELINEARIZE_GROWTH * self._updates:
                 self._linearise_again(stamps)
             if self._updates % MARGINALIZE_AFTER == 0:
                 self._marginalize()
@@ -197,7 +202,7 @@ class Solver:
         There a projection says nothing: once linearised, they would not be determined. Without them the path is another
         one, behind which others may lie.
         """
-        self._relinearised = self._updates
+        self._relinearised, self._due = self._updates, False
         while lost := astray(self._solver.getFactorsUnsafe(), self._solver.calculateEstimate()):
             self._remove(lost.__contains__)
             self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._marginalization.drop(lost))
