@@ -16,6 +16,7 @@ from fvslam_graph.core.camera import Camera, Distortion, Rectifier
 from fvslam_graph.core.config import Config, Mode, ScaleSource, load_config
 from fvslam_graph.core.errors import ConfigError, EstimationError
 from fvslam_graph.core.frame_result import Ending, FrameResult
+from fvslam_graph.core.sensors import Fix
 from fvslam_graph.core.sequence import Frame, Ground, Sequence
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.estimator import FrameEstimator
@@ -70,7 +71,14 @@ class Estimator:
         self._estimator = FrameEstimator(camera.undistorted(), config, ground)
         self._count, self._stamp, self._finished = 0, -math.inf, False
 
-    def step(self, image: NDArray[np.uint8] | None, stamp: float, height: float | None = None) -> FrameResult:
+    def step(
+        self,
+        image: NDArray[np.uint8] | None,
+        stamp: float,
+        height: float | None = None,
+        position: Iterable[float] | None = None,
+        gravity: Iterable[float] | None = None,
+    ) -> FrameResult:
         """Estimate the pose of the next image.
 
         Args:
@@ -78,9 +86,14 @@ class Estimator:
                 SKIPPED and a pose by the motion model.
             stamp: Seconds, later than the last.
             height: Metres from the camera to the ground, as measured now; by default what `ground` says.
+            position: Of the camera by GNSS, as measured now: latitude, longitude (degrees, WGS84), altitude (m), and
+                the standard deviation along each axis (m). For mode "graph" with a known ground.
+            gravity: (3,) direction of gravity in the camera, down, by an inertial unit. It stands for the normal of the
+                ground in this frame, and holds roll and pitch in mode "graph".
 
         Raises:
-            EstimationError: The image or its stamp cannot be that of a next frame, or `finish` was called.
+            EstimationError: The image, its stamp or a measurement cannot be that of a next frame, or `finish` was
+                called.
         """
         if self._finished:
             raise EstimationError("the estimator is finished; begin with a new one")
@@ -91,7 +104,9 @@ class Estimator:
         if ground is not None:
             height = float(ground.heights[min(index, len(ground.heights) - 1)]) if height is None else height
             frame = replace(frame, height=height, height_sigma=ground.height_sigma)
-        result = self._estimator.step(frame)
+        fixes = () if position is None else (self._fix(frame.stamp, tuple(position)),)
+        down = None if gravity is None else _direction(tuple(gravity))
+        result = self._estimator.step(replace(frame, fixes=fixes, gravity=down))
         self._count, self._stamp = index + 1, float(stamp)
         return result
 
@@ -101,6 +116,17 @@ class Estimator:
             raise EstimationError("the estimator is finished already")
         self._finished = True
         return self._estimator.finish()
+
+    def _fix(self, stamp: float, position: tuple[float, ...]) -> Fix:
+        config = self._estimator.config
+        if config.mode is not Mode.GRAPH or config.scale.relative:
+            raise EstimationError("positions are used in mode graph, where a known ground gives metres")
+        good = len(position) == 4 and all(map(math.isfinite, position))
+        if not (good and abs(position[0]) <= 90 and abs(position[1]) <= 180 and position[3] > 0):
+            raise EstimationError(
+                f"a position is latitude, longitude, altitude and a standard deviation above zero, not {position}"
+            )
+        return Fix(stamp, np.array(position[:3]), np.full(3, position[3]))
 
     def _usable(self, image: NDArray[np.uint8] | None) -> NDArray[np.uint8] | None:
         """The image rectified, or a copy of it: a driver may write the next one into the same memory."""
@@ -235,6 +261,14 @@ def compare(
 
     study = comparison(sequence, modes, seeds, preset, settings, external, align)
     return run_study(study, default_folder(study) if out is None else Path(out), workers)
+
+
+def _direction(vector: tuple[float, ...]) -> NDArray[np.float64]:
+    """The unit vector (3,) along a vector."""
+    if len(vector) != 3 or not all(map(math.isfinite, vector)) or not any(vector):
+        raise EstimationError(f"gravity is a direction of three numbers, not {vector}")
+    direction: NDArray[np.float64] = np.array(vector) / np.linalg.norm(vector)
+    return direction
 
 
 def _config(preset: str, mode: str, seed: int, settings: Mapping[str, Any] | None) -> Config:

@@ -48,6 +48,19 @@ Stride = Annotated[int, typer.Option(help="Take every n-th frame.", min=1)]
 ImageScale = Annotated[float, typer.Option(help="Resize the images by this factor, at most 1.")]
 CameraHeight = Annotated[float | None, typer.Option(help="Metres from the camera to the ground.")]
 CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera looks below the horizon.")]
+GroundPlane = Annotated[
+    str | None, typer.Option(help="Direction from the camera down to the ground, and metres.", metavar="'NX NY NZ D'")
+]
+Altimeter = Annotated[Path | None, typer.Option(help="CSV of heights above the ground: stamp,height[,sigma].")]
+Gnss = Annotated[
+    str | None,
+    typer.Option(
+        help="Fixes for mode graph: CSV of stamp,latitude,longitude,altitude[,sigma]; or `recording`, those that it "
+        "has; or oxts:HZ:SIGMA[:OUTLIERS[:GAP_S]], simulated from its OXTS packets or ground truth.",
+        metavar="FILE",
+    ),
+]
+GnssSigma = Annotated[float | None, typer.Option(help="Standard deviation of fixes along each axis.", metavar="METRES")]
 CameraK1 = Annotated[float | None, typer.Option(help="Radial distortion left in the images; see `distortion`.")]
 ImageTopic = Annotated[str | None, typer.Option("--topic", help="Image topic of a ROS bag, if it holds several.")]
 Preset = Annotated[str | None, typer.Option(help="paper or tuned.", show_default="tuned")]
@@ -80,6 +93,10 @@ def run(
     camera_pitch: CameraPitch = None,
     camera_k1: CameraK1 = None,
     topic: ImageTopic = None,
+    ground_plane: GroundPlane = None,
+    altimeter: Altimeter = None,
+    gnss: Gnss = None,
+    gnss_sigma: GnssSigma = None,
 ) -> None:
     """Run an estimator on a sequence and keep the result in a folder."""
     from fvslam_graph.core.config import load_config
@@ -98,6 +115,7 @@ def run(
         camera_k1=camera_k1,
         topic=topic,
     )
+    sequence = _with_sensors(sequence, ground_plane, altimeter, gnss, gnss_sigma, chosen.seed)
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{chosen.mode}-{chosen.preset}"
     said = _run(sequence, chosen, folder)
     typer.echo(f"{said}; next: fvslam evaluate {folder}; fvslam plot {folder}")
@@ -302,6 +320,36 @@ def _run_study(study: Study, out: Path, workers: int | None, scheduler: str | No
     typer.echo(f"report: {out / 'report.html'}")
     if not len(results.finished):
         raise FvslamError("no run came to its end; the table says why")
+
+
+def _with_sensors(
+    sequence: Sequence, plane: str | None, altimeter: Path | None, gnss: str | None, sigma: float | None, seed: int
+) -> Sequence:
+    """The sequence with what other sensors than the camera have measured."""
+    from fvslam_graph.core.sensors import SensorKind
+    from fvslam_graph.runs.gnss_file import read_fixes
+    from fvslam_graph.sequences.altimeter import read_altimeter, with_altimeter
+    from fvslam_graph.sequences.ground import with_ground_plane
+    from fvslam_graph.simulation.gnss import SimulatedReceiver
+
+    if plane is not None:
+        try:
+            sequence = with_ground_plane(sequence, map(float, plane.replace(",", " ").split()))
+        except ValueError:
+            raise FvslamError(f"--ground-plane takes four numbers, nx ny nz d, not '{plane}'") from None
+    if altimeter is not None:
+        sequence = with_altimeter(sequence, read_altimeter(altimeter))
+    if gnss is None:
+        return sequence
+    if gnss == "recording":
+        fixes = next((series for series in sequence.sensors if series.kind is SensorKind.GNSS), None)
+        if fixes is None:
+            raise FvslamError(f"{sequence.name} has no fixes of a GNSS receiver; give --gnss FILE")
+    elif gnss.startswith("oxts:"):
+        fixes = SimulatedReceiver.parse(gnss.removeprefix("oxts:")).fixes(sequence, seed)
+    else:
+        fixes = read_fixes(Path(gnss))
+    return sequence.with_gnss(fixes, sigma)
 
 
 def _run(sequence: Sequence, config: Config, folder: Path) -> str:

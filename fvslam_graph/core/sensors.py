@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+GRAVITY_SIGMA = 0.02  # rad, of the direction that an inertial unit's filter tells while the vehicle accelerates
 MAX_READING_GAP = 0.5  # seconds between two readings between which nothing is interpolated
 
 
@@ -56,11 +57,14 @@ class SensorSeries:
     def __len__(self) -> int:
         return len(self.stamps)
 
-    def interpolate(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Readings (M, D) at other times (M,), on the straight line between neighbours; NaN outside and in gaps."""
+    def interpolate(self, stamps: NDArray[np.float64], max_gap: float = MAX_READING_GAP) -> NDArray[np.float64]:
+        """Readings (M, D) at other times (M,), on the straight line between neighbours.
+
+        NaN outside, and in gaps longer than `max_gap` seconds.
+        """
         after = np.clip(np.searchsorted(self.stamps, stamps), 0, len(self) - 1)
         before = np.maximum(after - 1, 0)
         known = (stamps >= self.stamps[0]) & (stamps <= self.stamps[-1])
-        known &= (self.stamps[after] - self.stamps[before] <= MAX_READING_GAP) | (self.stamps[after] == stamps)
+        known &= (self.stamps[after] - self.stamps[before] <= max_gap) | (self.stamps[after] == stamps)
         columns = [np.interp(stamps, self.stamps, column) for column in self.values.T]
         return np.where(known[:, None], np.column_stack(columns), np.nan)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.sensors import GRAVITY_SIGMA
 from fvslam_graph.core.vo_estimate import OdometryStep
 from fvslam_graph.graph.calibration import CALIBRATION, SelfCalibration
 
@@ -22,7 +23,6 @@ MIN_VARIANCE = 1e-10  # rad^2 and m^2: no factor is exact, and what is known of 
 TIGHT = (
     1e-3  # share of its covariance that a motion gets for being told in two steps: what is exact, solvers do not like
 )
-GRAVITY_SIGMA = 0.02  # rad, of the direction that an inertial unit's filter tells while the vehicle accelerates
 ENU = int(gtsam.symbol("e", 0))  # the key of world_T_enu, where east, north, up at a place on Earth is in the world
 SHORT = 1e-3  # metres; shorter motions have no direction that could be told, nor a length along it
 

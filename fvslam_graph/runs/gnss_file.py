@@ -12,6 +12,7 @@ from fvslam_graph.core.sensors import SensorKind, SensorSeries
 from fvslam_graph.core.text_files import read_text
 
 FIX_COLUMNS = ("stamp", "latitude", "longitude", "altitude")
+SIGMA = "sigma"
 
 
 def write_fixes(path: Path, fixes: SensorSeries) -> None:
@@ -26,7 +27,8 @@ def write_fixes(path: Path, fixes: SensorSeries) -> None:
 def read_fixes(path: Path) -> SensorSeries:
     """Read the columns stamp, latitude, longitude, altitude, in the order of the stamps, each stamp once.
 
-    Rows with an empty cell are left out.
+    A column sigma, where there is one, has their standard deviations along each axis, metres. Rows with an empty cell
+    are left out.
 
     Raises:
         ResultsError: The file cannot be read, lacks a column, or a cell is no number or no place on Earth.
@@ -34,9 +36,10 @@ def read_fixes(path: Path) -> SensorSeries:
     reader = csv.DictReader(read_text(path, ResultsError).splitlines(), skipinitialspace=True)
     if missing := [name for name in FIX_COLUMNS if name not in (reader.fieldnames or ())]:
         raise ResultsError(f"{path} has no column {missing[0]}; the first line names {', '.join(FIX_COLUMNS)}")
+    names = (*FIX_COLUMNS, *({SIGMA} & set(reader.fieldnames or ())))
     rows = []
     for number, row in enumerate(reader, 2):
-        cells = [row[name] or "" for name in FIX_COLUMNS]
+        cells = [row[name] or "" for name in names]
         if not all(cell.strip() for cell in cells):
             continue
         try:
@@ -46,6 +49,9 @@ def read_fixes(path: Path) -> SensorSeries:
         if not np.isfinite(values).all() or abs(values[1]) > 90 or abs(values[2]) > 180:
             raise ResultsError(f"{path}: line {number} is no place on Earth at a time: {','.join(cells)[:60]}")
         rows.append(values)
-    fixes = np.array(rows).reshape(-1, len(FIX_COLUMNS))
+    fixes = np.array(rows).reshape(-1, len(names))
     fixes = fixes[np.unique(fixes[:, 0], return_index=True)[1]]
-    return SensorSeries(SensorKind.GNSS, fixes[:, 0], fixes[:, 1:], np.full((len(fixes), 3), np.nan), path.name)
+    sigmas = np.full((len(fixes), 3), np.nan)
+    if SIGMA in names:
+        sigmas = np.repeat(fixes[:, 4:], 3, axis=1)
+    return SensorSeries(SensorKind.GNSS, fixes[:, 0], fixes[:, 1:4], sigmas, path.name)

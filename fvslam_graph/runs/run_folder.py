@@ -319,6 +319,7 @@ class _Info(BaseModel):
     down: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_no_zero)] | None = None
     source: dict[str, Any] | None = None
     camera: Camera | None = None
+    placement: dict[str, Any] | None = None
     totals: dict[str, Any] = {}
 
 

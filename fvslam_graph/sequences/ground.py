@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -84,3 +85,23 @@ def override_ground(sequence: Sequence, height: float | None, pitch: float | Non
         normal = np.array([0.0, np.cos(pitch), np.sin(pitch)])
         ground = replace(ground, normal=normal, normal_sigma=min(ground.normal_sigma, GIVEN_TILT))
     return replace(sequence, ground=ground)
+
+
+def with_ground_plane(sequence: Sequence, plane: Iterable[float]) -> Sequence:
+    """The sequence with the ground plane that the user gives.
+
+    Args:
+        sequence: Any.
+        plane: nx, ny, nz, the direction from the camera down to the plane, and its distance in metres.
+
+    Raises:
+        SequenceError: These are no such four numbers.
+    """
+    numbers = np.array(tuple(plane), float)
+    if len(numbers) != 4 or not np.isfinite(numbers).all() or not numbers[:3].any() or not numbers[3] > 0:
+        raise SequenceError(
+            "the ground plane is nx ny nz d: the direction from the camera down to it, and its distance in metres"
+        )
+    heights = np.full(len(sequence), numbers[3])
+    normal = numbers[:3] / np.linalg.norm(numbers[:3])
+    return replace(sequence, ground=Ground(heights, normal, GIVEN_TILT, "given plane"))

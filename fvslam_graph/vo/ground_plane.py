@@ -66,6 +66,12 @@ class GroundAligner:
         self._rays = rays(camera, self._grid.astype(float))
         self._next = 0  # of the ratios, where what is expected leads nowhere
 
+    def towards(self, normal: NDArray[np.float64], normal_sigma: float) -> GroundAligner:
+        """The same for a camera of known attitude: normal (3,) towards the ground, and its deviation in radians."""
+        turned = GroundAligner(self.camera, normal, normal_sigma, self.settings)
+        turned._next = self._next
+        return turned
+
     def measure(self, views: TwoViews, expected: float | None, rng: np.random.Generator) -> GroundPlane | None:
         """The ground between two images; None where too few patches agree on one.
 

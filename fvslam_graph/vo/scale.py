@@ -12,6 +12,7 @@ from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.quick import median
+from fvslam_graph.core.sensors import GRAVITY_SIGMA
 from fvslam_graph.core.vo_estimate import ScaleStep
 from fvslam_graph.vo.ground_plane import GroundAligner
 from fvslam_graph.vo.relative_pose import TwoViews
@@ -108,7 +109,10 @@ class MetricScale:
         if self._aligner is None or previous.image is None or views.current.image is None or not height > 0:
             return None
         expected = predicted.metres / height if predicted.variance < UNINFORMATIVE_VARIANCE else None
-        ground = self._aligner.measure(views, expected, rng)
+        aligner = self._aligner
+        if previous.gravity is not None:
+            aligner = aligner.towards(previous.gravity, GRAVITY_SIGMA)
+        ground = aligner.measure(views, expected, rng)
         if ground is None:
             return None
         variance = ground.log_variance + self.settings.plane_sigma**2 + (previous.height_sigma / height) ** 2

@@ -99,6 +99,8 @@ def _place(poses: ExportedPoses, origin: Sequence[float] | None, gnss: Path | No
         raise ResultsError("an origin and GNSS fixes cannot both place a map; give one of them")
     if origin is not None:
         return Georeference.by_origin(origin, poses.run.info.get("down"))
+    if gnss is None and (placement := poses.run.info.get("placement")) is not None:
+        return Georeference.by_placement(placement)
     fixes = poses.run.gnss if gnss is None else read_fixes(gnss)
     if fixes is not None:
         return Georeference.by_fixes(fixes, poses.trajectory)

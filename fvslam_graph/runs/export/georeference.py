@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import gtsam
 import numpy as np
@@ -92,6 +92,26 @@ class Georeference:
         if aside < max(STRAIGHT * rms, MIN_ASIDE):
             note += "; the path is so straight that they do not tell how it is turned about itself"
         return cls(places[0], scale, rotation, translation, note)
+
+    @classmethod
+    def by_placement(cls, placement: Mapping[str, Any]) -> Self:
+        """Put the world of a run where its own factor graph has found it; see `EarthPlacement`.
+
+        Args:
+            placement: The entry of run.json.
+
+        Raises:
+            ResultsError: It is damaged.
+        """
+        try:
+            origin, matrix = np.array(placement["origin"], float), np.array(placement["enu_T_world"], float)
+        except (KeyError, TypeError, ValueError):
+            origin, matrix = np.empty(0), np.empty(0)
+        if origin.shape != (3,) or matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise ResultsError("the placement in run.json is damaged, the run must be done again")
+        return cls(
+            origin, 1.0, matrix[:3, :3], matrix[:3, 3], "placed where the factor graph has found the run on Earth"
+        )
 
     def enu(self, points: Array) -> Array:
         """Points (N, 3) of the world as east, north, up, (N, 3), metres."""
