@@ -1,0 +1,141 @@
+"""What GNSS and an altimeter bring: errors on Earth, consistency and scale, over seeds of the sensors' noise.
+
+`gnss PATH...` adds a simulated receiver to recordings with ground truth. Errors are RMSE of all three axes, in metres;
+`rigid` is that of the true path laid upon the right fixes: of an estimator without drift. `altimeter` flies over
+generated terrain with noisy heights. NEES of positions has an expectation of 3.
+"""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import gtsam
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from fvslam_graph.core.config import load_config
+from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.geodesy import LocalFrame
+from fvslam_graph.core.sensors import SensorSeries
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.estimator import frame_estimator
+from fvslam_graph.sequences.altimeter import read_altimeter, with_altimeter
+from fvslam_graph.sequences.open import open_sequence
+from fvslam_graph.simulation.gnss import OUTLIER, PLACE, SimulatedReceiver, true_enu
+
+Array = NDArray[np.float64]
+
+HEIGHT_SIGMA, HEIGHT_OUTLIERS, HEIGHT_OFF, HEIGHT_RATE = 0.2, 0.05, 5.0, 7.0  # m, share, m, Hz
+GRAPH = load_config(settings=["mode=graph"])
+
+app = typer.Typer()
+
+
+@app.command()
+def gnss(
+    paths: list[str],
+    receiver: Annotated[str, typer.Option(help="HZ:SIGMA[:OUTLIERS[:GAP_S]]")] = "1:1.5:0.2:10",
+    seeds: int = 5,
+) -> None:
+    """Errors on Earth of recordings with a simulated receiver."""
+    print("recording, seed: smoothed, online, GNSS alone, rigid; mean NEES online; first placed frame")
+    for path in paths:
+        sequence = replace(open_sequence(path), sensors=())
+        rows = []
+        for seed in range(seeds):
+            rows.append(_gnss_row(sequence, SimulatedReceiver.parse(receiver), seed))
+            print(f"{sequence.name}, {seed}: " + ", ".join(f"{number:.2f}" for number in rows[-1]), flush=True)
+        rms = np.sqrt(np.mean(np.square(rows), axis=0))
+        print(f"{sequence.name}, RMS: " + ", ".join(f"{number:.2f}" for number in rms[:4]))
+        print(f"{sequence.name}, mean NEES {np.mean(rows, axis=0)[4]:.2f}", flush=True)
+
+
+@app.command()
+def altimeter(
+    seeds: int = 10, world: str = "synthetic:uav?frames=80&size=320x240", settings: Annotated[str, typer.Option()] = ""
+) -> None:
+    """Scale and NEES of flights whose height is measured by an altimeter with noise and outliers."""
+    scales, values = [], []
+    for seed in range(seeds):
+        exact = open_sequence(f"{world}&seed={seed}")
+        sequence = with_altimeter(exact, _altimeter(exact, seed))
+        truth = exact.ground_truth
+        assert truth is not None
+        results = list(
+            frame_estimator(sequence, load_config(settings=["mode=graph", *settings.split()])).through(sequence)
+        )
+        estimated = np.array([result.pose.mean.translation() for result in results])
+        pairs = list(zip(truth.positions, estimated, strict=True))
+        scales.append(1 / gtsam.Similarity3.Align(pairs).scale())
+        values.append(np.mean([_nees(r.pose, p.translation()) for r, p in zip(results, truth.poses, strict=True)][10:]))
+        print(f"seed {seed}: scale {scales[-1]:.4f}, mean NEES {values[-1]:.2f}", flush=True)
+    errors = np.array(scales) - 1
+    print(f"scale error: mean {errors.mean():.4f}, RMS {np.sqrt((errors**2).mean()):.4f}; NEES {np.mean(values):.2f}")
+
+
+def _gnss_row(sequence: Sequence, receiver: SimulatedReceiver, seed: int) -> list[float]:
+    truth = sequence.ground_truth
+    assert truth is not None
+    fixes = receiver.fixes(sequence, seed)
+    estimator = frame_estimator(sequence.with_gnss(fixes), GRAPH)
+    results = list(estimator.through(sequence.with_gnss(fixes)))
+    ending = estimator.finish()
+    assert ending is not None and ending.smoothed is not None and ending.placement is not None
+    earth, place = LocalFrame(PLACE), LocalFrame(ending.placement.origin)
+    known = truth.interpolate(sequence.stamps)
+    path = place.enu(earth.geodetic(true_enu(known)))
+    true = dict(zip(known.stamps.tolist(), path, strict=True))
+    online = [(r.enu, true[r.stamp]) for r in results if r.enu is not None and r.stamp in true]
+    smoothed = ending.placement.enu_T_world.mean.transformFrom(ending.smoothed.positions.T).T
+    pairs = zip(ending.smoothed.stamps.tolist(), smoothed, strict=True)
+    measured = place.enu(fixes.values)
+    alone = np.column_stack([np.interp(known.stamps, fixes.stamps, column) for column in measured.T])
+    return [
+        _rmse([position - true[stamp] for stamp, position in pairs if stamp in true]),
+        _rmse([pose.mean.translation() - position for pose, position in online]),
+        _rmse(alone - path),
+        _rmse(_rigid(known.stamps, path, fixes.stamps, measured) - path),
+        float(np.mean([_nees(pose, position) for pose, position in online])),
+        float(next(result.index for result in results if result.enu is not None)),
+    ]
+
+
+def _rigid(stamps: Array, path: Array, fix_stamps: Array, fixes: Array) -> Array:
+    """The true path, moved and turned as a whole to fit the fixes that are not wrong."""
+    there = np.column_stack([np.interp(fix_stamps, stamps, column) for column in path.T])
+    good = np.linalg.norm(fixes - there, axis=1) < OUTLIER / 2
+    a, b = there[good].mean(axis=0), fixes[good].mean(axis=0)
+    rotation = gtsam.Rot3.ClosestTo((fixes[good] - b).T @ (there[good] - a)).matrix()
+    return (path - a) @ rotation.T + b
+
+
+def _nees(pose: GaussianPose, position: Array) -> float:
+    rotation = pose.mean.rotation().matrix()
+    error = pose.mean.translation() - position
+    return float(error @ np.linalg.solve(rotation @ pose.covariance[3:, 3:] @ rotation.T + 1e-12 * np.eye(3), error))
+
+
+def _rmse(errors: list[Array] | Array) -> float:
+    return float(np.sqrt((np.array(errors) ** 2).sum(axis=1).mean()))
+
+
+def _altimeter(sequence: Sequence, seed: int) -> SensorSeries:
+    """Readings of the true height with noise and outliers, at a rate of their own."""
+    assert sequence.ground is not None
+    rng = np.random.default_rng([seed, 6])
+    stamps = np.arange(sequence.stamps[0] - 1, sequence.stamps[-1] + 1, 1 / HEIGHT_RATE)
+    heights = np.interp(stamps, sequence.stamps, sequence.ground.heights) + HEIGHT_SIGMA * rng.standard_normal(
+        len(stamps)
+    )
+    wrong = rng.random(len(stamps)) < HEIGHT_OUTLIERS
+    heights[wrong] += HEIGHT_OFF * rng.choice([-1, 1], wrong.sum())
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "altimeter.csv"
+        file.write_text("stamp,height\n" + "".join(f"{s:.6f},{h:.4f}\n" for s, h in zip(stamps, heights, strict=True)))
+        return read_altimeter(file)
+
+
+if __name__ == "__main__":
+    app()
