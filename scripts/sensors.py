@@ -108,7 +108,8 @@ def _rigid(stamps: Array, path: Array, fix_stamps: Array, fixes: Array) -> Array
     good = np.linalg.norm(fixes - there, axis=1) < OUTLIER / 2
     a, b = there[good].mean(axis=0), fixes[good].mean(axis=0)
     rotation = gtsam.Rot3.ClosestTo((fixes[good] - b).T @ (there[good] - a)).matrix()
-    return (path - a) @ rotation.T + b
+    laid: Array = (path - a) @ rotation.T + b
+    return laid
 
 
 def _nees(pose: GaussianPose, position: Array) -> float:

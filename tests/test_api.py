@@ -11,11 +11,13 @@ import fvslam_graph
 from fvslam_graph.core.camera import Distortion
 from fvslam_graph.core.config import Mode
 from fvslam_graph.core.errors import ConfigError, EstimationError, FvslamError
+from fvslam_graph.core.geodesy import LocalFrame
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.landmark_plots import plot_landmarks
 from fvslam_graph.evaluation.plots import FIGURES, plot_runs
 from fvslam_graph.sequences.open import open_sequence
+from fvslam_graph.simulation.gnss import PLACE, true_enu
 from fvslam_graph.testing import rendered
 
 SHORT = "synthetic:uav?frames=12&size=320x240"
@@ -216,3 +218,40 @@ def test_what_cannot_be_a_next_frame(flown):
             late()
     with pytest.raises(ConfigError, match="oracle"):
         fvslam_graph.Estimator(flown.camera, settings={"scale.source": "oracle"})
+
+
+def test_measurements_beside_the_image(flown):
+    """Positions handed to an estimator place it on Earth; gravity along the normal of the ground changes little."""
+    places = LocalFrame(PLACE).geodetic(true_enu(flown.ground_truth))
+    estimator = fvslam_graph.Estimator(flown.camera, "graph", flown.ground)
+    for index, (stamp, place) in enumerate(zip(flown.stamps, places, strict=True)):
+        position = (*place, 0.02)
+        result = estimator.step(flown.load(index), stamp, flown.ground.heights[index], position, flown.ground.normal)
+    placement = estimator.finish().placement
+    assert placement.origin == pytest.approx(places[0])
+    error = result.enu.mean.translation() - LocalFrame(places[0]).enu(places[-1:])[0]
+    assert np.linalg.norm(error) < 0.2  # measured: 0.02 m
+    assert np.sqrt(np.diag(result.enu.covariance)[3:]).max() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("mode", "position", "gravity", "complaint"),
+    [
+        ("vo", (49, 8, 100, 1), None, "mode graph"),
+        ("graph", (49, 8, 100), None, "standard deviation"),
+        ("graph", (49, 8, 100, 0), None, "standard deviation"),
+        ("graph", (149, 8, 100, 1), None, "standard deviation"),
+        ("graph", (np.nan, 8, 100, 1), None, "standard deviation"),
+        ("graph", None, (0, 0, 0), "direction of three numbers"),
+        ("graph", None, (0, np.inf, 0), "direction of three numbers"),
+    ],
+)
+def test_measurements_that_are_none(flown, mode, position, gravity, complaint):
+    estimator = fvslam_graph.Estimator(flown.camera, mode, flown.ground)
+    with pytest.raises(EstimationError, match=complaint):
+        estimator.step(None, 0.0, position=position, gravity=gravity)
+
+
+def test_positions_need_metres(flown):
+    with pytest.raises(EstimationError, match="known ground"):
+        fvslam_graph.Estimator(flown.camera, "graph").step(None, 0.0, position=(49, 8, 100, 1))

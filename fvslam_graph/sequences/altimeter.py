@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import scipy.ndimage
 from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import SequenceError
@@ -43,15 +42,25 @@ def read_altimeter(path: Path) -> SensorSeries:
         raise SequenceError(f"{path} has {len(numbers)} complete readings, at least 2 are needed")
     require_increasing(path, numbers[:, 0])
     heights = numbers[:, 1]
-    away = heights - scipy.ndimage.median_filter(heights, WINDOW, mode="nearest")
-    spread = max(NORMAL_MAD * float(np.median(np.abs(away))), MIN_SIGMA)
-    sigmas = np.maximum(numbers[:, 2], MIN_SIGMA) if len(header) == 3 else np.full(len(heights), spread)
+    away, spread = _against_neighbours(heights)
+    usual = max(NORMAL_MAD * float(np.median(np.abs(away))), MIN_SIGMA)
+    sigmas = np.maximum(numbers[:, 2], MIN_SIGMA) if len(header) == 3 else np.full(len(heights), usual)
     good = (np.abs(away) <= OUTLIER * np.maximum(spread, sigmas)) & (heights > 0)
     if 2 * good.sum() < len(good):
         raise SequenceError(f"{path}: most heights are not above zero, or far from their neighbours")
     return SensorSeries(
         SensorKind.HEIGHT, numbers[good, 0], heights[good, None], sigmas[good, None], f"altimeter {path.name}"
     )
+
+
+def _against_neighbours(heights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far readings (N,) are from the median of those around them, and how far these are, as a deviation, (N,).
+
+    It is Hampel's filter: where the vehicle climbs, neighbours differ, and so may the reading.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(heights, WINDOW // 2, mode="reflect"), WINDOW)
+    medians = np.median(windows, axis=1)
+    return heights - medians, NORMAL_MAD * np.median(np.abs(windows - medians[:, None]), axis=1)
 
 
 def with_altimeter(sequence: Sequence, readings: SensorSeries) -> Sequence:

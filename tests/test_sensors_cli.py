@@ -1,0 +1,71 @@
+"""What other sensors than the camera have measured, on the command line."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fvslam_graph.core.geodesy import LocalFrame
+from fvslam_graph.runs.run_folder import read_run
+from fvslam_graph.sequences.open import open_sequence
+from fvslam_graph.simulation.gnss import PLACE, true_enu
+
+COLUMNS = ["east", "north", "up", "east_sigma", "north_sigma", "up_sigma"]
+
+
+def test_a_run_with_fixes_knows_its_place_on_earth(drive, tmp_path, fvslam):
+    truth = open_sequence(drive).ground_truth
+    places = LocalFrame(PLACE).geodetic(true_enu(truth))
+    rows = [f"{s:.6f},{a:.10f},{b:.10f},{c:.5f},0.05" for s, (a, b, c) in zip(truth.stamps, places, strict=True)]
+    (tmp_path / "fixes.csv").write_text("\n".join(["stamp,latitude,longitude,altitude,sigma", *rows]) + "\n")
+    folder = tmp_path / "run"
+    code, _, err = fvslam("run", drive, "--mode", "graph", "--gnss", tmp_path / "fixes.csv", "--out", folder)
+    assert (code, err) == (0, "")
+    run = read_run(folder)
+    assert run.info["gnss"] == "fixes.csv"
+    last = [run.frames[name][-1] for name in COLUMNS]
+    assert np.linalg.norm(last[:3] - LocalFrame(places[0]).enu(places[-1:])[0]) < 0.5  # measured: 0.05 m
+    assert max(last[3:]) < 0.5
+    assert np.isnan(run.frames["east"][0])
+
+    code, _, err = fvslam("export", folder, "--to", "geojson", "--smoothed", "--out", tmp_path / "map.geojson")
+    assert code == 0 and "factor graph" in err
+    line = json.loads((tmp_path / "map.geojson").read_text())["features"][0]["geometry"]["coordinates"]
+    there = LocalFrame(places[0]).enu(np.array(line)[:, [1, 0, 2]]) - LocalFrame(places[0]).enu(places)
+    assert np.linalg.norm(there, axis=1).max() < 0.5
+
+
+def test_without_fixes_nothing_is_said_of_earth(drive, tmp_path, fvslam):
+    assert fvslam("run", drive, "--out", tmp_path / "run", "--frames", "0:3").code == 0
+    run = read_run(tmp_path / "run")
+    assert not set(COLUMNS) & set(run.frames) and "placement" not in run.info
+
+
+def test_an_altimeter_of_another_rate_gives_the_scale(drive, tmp_path, fvslam):
+    rows = "".join(f"{stamp:.3f},3.3\n" for stamp in np.arange(-0.5, 2, 0.13))
+    (tmp_path / "altimeter.csv").write_text("stamp,height\n" + rows)
+    given = (("--altimeter", tmp_path / "altimeter.csv"), ("--camera-height", 3.3), ("--ground-plane", "0 1 0 3.3"))
+    lengths = []
+    for number, options in enumerate(given):
+        assert fvslam("run", drive, "--out", tmp_path / str(number), *options).code == 0
+        lengths.append(np.linalg.norm(read_run(tmp_path / str(number)).online.positions[-1]))
+    assert lengths == pytest.approx([lengths[0]] * 3, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (("--mode", "vo", "--gnss", "oxts:10:0.1"), "mode graph alone"),
+        (("--mode", "graph", "--set", "scale.source=map", "--gnss", "oxts:10:0.1"), "in metres"),
+        (("--mode", "graph", "--gnss", "recording"), "no fixes of a GNSS receiver"),
+        (("--mode", "graph", "--gnss", "nowhere.csv"), "nowhere.csv is missing"),
+        (("--mode", "graph", "--gnss", "oxts:10"), "RATE_HZ:SIGMA_M"),
+        (("--mode", "graph", "--gnss", "oxts:10:0.1", "--gnss-sigma", 0), "positive number of metres"),
+        (("--altimeter", "nowhere.csv"), "nowhere.csv is missing"),
+        (("--ground-plane", "down"), "four numbers"),
+    ],
+)
+def test_what_cannot_be_used_is_one_sentence(drive, tmp_path, fvslam, options, complaint):
+    code, _, err = fvslam("run", drive, "--out", tmp_path / "run", *options)
+    assert code == 1 and complaint in err and len(err.splitlines()) == 1
+    assert not (tmp_path / "run").exists()
