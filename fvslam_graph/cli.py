@@ -370,6 +370,12 @@ def _run(sequence: Sequence, config: Config, folder: Path) -> str:
             "`fvslam info` says what is read of the recording",
             err=True,
         )
+    if sequence.gnss is not None and run.info.get("placement") is None:
+        typer.echo(
+            f"{sequence.name}: the fixes of {sequence.gnss.source} do not tell where on Earth it is; they are too few, "
+            "the path is too short against their deviations, most of them contradict it, or their clock is another",
+            err=True,
+        )
     return one_line(f"{len(sequence)} frames of {sequence.name}: {counts}")
 
 

@@ -35,6 +35,14 @@ def test_a_run_with_fixes_knows_its_place_on_earth(drive, tmp_path, fvslam):
     assert np.linalg.norm(there, axis=1).max() < 0.5
 
 
+def test_fixes_that_tell_nothing_are_not_passed_over(drive, tmp_path, fvslam):
+    given = ("--mode", "graph", "--gnss", "oxts:10:50", "--out", tmp_path / "run")  # on a path of 13 m
+    code, _, err = fvslam("run", drive, *given)
+    assert code == 0 and "do not tell where on Earth it is" in err
+    run = read_run(tmp_path / "run")
+    assert np.isnan(run.frames["east"]).all() and run.smoothed is not None
+
+
 def test_without_fixes_nothing_is_said_of_earth(drive, tmp_path, fvslam):
     assert fvslam("run", drive, "--out", tmp_path / "run", "--frames", "0:3").code == 0
     run = read_run(tmp_path / "run")
