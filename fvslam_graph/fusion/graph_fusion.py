@@ -133,7 +133,10 @@ class GraphFusion(Fusion):
         return Ending(smoothed, summary, self._calibration(), graph.write, placement)
 
     def _placement(self) -> EarthPlacement | None:
-        enu_T_world = self.graph.enu_T_world()
+        try:
+            enu_T_world = self.graph.enu_T_world()
+        except (EstimationError, RuntimeError):  # as which GTSAM's exceptions arrive
+            return None
         return None if self._earth is None or enu_T_world is None else EarthPlacement(self._earth.origin, enu_T_world)
 
     def _calibration(self) -> CalibrationEstimate | None:

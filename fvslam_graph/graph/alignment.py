@@ -8,11 +8,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.core.gates import chi2_gate
+
 Array = NDArray[np.float64]
 
 MAX_CANDIDATES = 30  # positions whose pairs are tried
 MIN_INLIERS = 4
-GATE = 16.27  # chi-square of three numbers, 99.9 %
+GATE = chi2_gate(0.999, 3)
 SCALE_SIGMA = 0.05  # share of a length that the path may err by
 MAX_HEADING_SIGMA = 0.1  # rad; a path that is longer than that against the noise of the positions tells the heading
 ITERATIONS = 20  # of iteratively reweighted least squares
