@@ -339,6 +339,8 @@ def _with_sensors(
             raise FvslamError(f"--ground-plane takes four numbers, nx ny nz d, not '{plane}'") from None
     if altimeter is not None:
         sequence = with_altimeter(sequence, read_altimeter(altimeter))
+    if gnss is None and sigma is not None:
+        raise FvslamError("--gnss-sigma is the deviation of the fixes that --gnss gives; give both")
     if gnss is None:
         return sequence
     if gnss == "recording":

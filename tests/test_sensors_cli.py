@@ -69,6 +69,7 @@ def test_an_altimeter_of_another_rate_gives_the_scale(drive, tmp_path, fvslam):
         (("--mode", "graph", "--gnss", "nowhere.csv"), "nowhere.csv is missing"),
         (("--mode", "graph", "--gnss", "oxts:10"), "RATE_HZ:SIGMA_M"),
         (("--mode", "graph", "--gnss", "oxts:10:0.1", "--gnss-sigma", 0), "positive number of metres"),
+        (("--gnss-sigma", 2), "give both"),
         (("--altimeter", "nowhere.csv"), "nowhere.csv is missing"),
         (("--ground-plane", "down"), "four numbers"),
     ],

@@ -155,7 +155,7 @@ class Sequence:
             SequenceError: The deviation is not given, or no positive number.
         """
         sigmas = fixes.sigmas if sigma is None else np.full_like(fixes.sigmas, sigma)
-        if not (sigmas > 0).all():  # also where it is not a number
+        if not ((sigmas > 0) & (sigmas < np.inf)).all():  # also where it is not a number
             raise SequenceError(
                 f"{fixes.source}: the standard deviation of a position must be a positive number of metres; "
                 "give it by --gnss-sigma"

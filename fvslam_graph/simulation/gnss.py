@@ -15,6 +15,7 @@ from fvslam_graph.core.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
+MAX_RATE = 1000.0  # Hz
 OUTLIER = 50.0  # metres, in any direction
 PLACE = np.array([49.0, 8.4, 115.0])  # Karlsruhe, where no recording says where it was
 ENU_R_CAMERA = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # a level camera that looks north
@@ -47,7 +48,8 @@ class SimulatedReceiver:
             receiver = cls(*map(float, text.split(":")))
         except (TypeError, ValueError):
             receiver = cls(0, 0)
-        if not (0 < receiver.rate < np.inf and 0 < receiver.sigma < np.inf and 0 <= receiver.outliers < 1):
+        usual = 0 < receiver.rate <= MAX_RATE and 0 < receiver.sigma < np.inf
+        if not (usual and 0 <= receiver.outliers < 1 and receiver.gap >= 0):
             raise SequenceError(f"a simulated receiver is RATE_HZ:SIGMA_M[:OUTLIERS[:GAP_S]], not '{text}'")
         return receiver
 

@@ -331,7 +331,8 @@ ODD = (
 )
 OPTIONS = {
     "run {root}/folder --out {out}": (
-        "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic"
+        "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic "
+        "ground-plane altimeter gnss gnss-sigma"
     ),
     "info {root}/folder": "camera-height camera-pitch topic",
     "distortion {root}/folder": "frames stride camera-k1",

@@ -7,9 +7,11 @@ import pytest
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.sensors import GRAVITY_SIGMA
 from fvslam_graph.graph.calibration import CALIBRATION
 from fvslam_graph.graph.factors import (
     LandmarkFactors,
+    gravity_factor,
     height_factor,
     is_pose,
     landmark_key,
@@ -174,3 +176,13 @@ def test_positions_of_satellites():
     values = gtsam.Values()
     values.insert(pose_key(4), gtsam.Pose3(gtsam.Rot3(), np.array([1.0, 2.0, 3.5])))
     assert position_factor(4, np.array([1.0, 2.0, 3.0]), 0.5).error(values) == pytest.approx(0.5)
+
+
+def test_gravity_holds_roll_and_pitch_alone():
+    down = np.array([0.0, 1.0, 0.0])
+    tilt = 0.01
+    for turn, cost in (((0, 0.7, 0), 0.0), ((0, 0, 0), 0.0), ((tilt, 0, 0), 1.0), ((0, 0, tilt), 1.0)):
+        values = gtsam.Values()
+        values.insert(pose_key(2), gtsam.Pose3(gtsam.Rot3.Expmap(np.array(turn, float)), np.ones(3)))
+        expected = cost * (tilt / GRAVITY_SIGMA / np.sqrt(2)) ** 2 / 2
+        assert gravity_factor(2, down, down).error(values) == pytest.approx(expected, rel=1e-3, abs=1e-9)

@@ -45,7 +45,7 @@ def test_fixes_of_a_recording_are_made_worse(sequence):
     assert np.abs(LocalFrame(places[0]).enu(fixes.values)).max() < 2.5
 
 
-@pytest.mark.parametrize("text", ["", "5", "0:1", "5:0", "5:1:1", "5:1:0.1:2:3", "a:b"])
+@pytest.mark.parametrize("text", ["", "5", "0:1", "5:0", "5:1:1", "5:1:0.1:2:3", "a:b", "1e9:1", "5:1:0:nan"])
 def test_what_is_no_receiver_is_one_sentence(text):
     with pytest.raises(SequenceError, match="RATE_HZ:SIGMA_M"):
         SimulatedReceiver.parse(text)
@@ -76,4 +76,6 @@ def test_fixes_without_a_deviation_are_refused(sequence):
         sequence.with_gnss(fixes)
     with pytest.raises(SequenceError, match="--gnss-sigma"):
         sequence.with_gnss(fixes, 0.0)
+    with pytest.raises(SequenceError, match="--gnss-sigma"):
+        sequence.with_gnss(fixes, np.inf)
     assert sequence.with_gnss(fixes, 2.0).gnss.sigmas.tolist() == [[2.0] * 3]
