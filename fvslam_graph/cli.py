@@ -50,6 +50,18 @@ CameraHeight = Annotated[float | None, typer.Option(help="Metres from the camera
 CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera looks below the horizon.")]
 CameraK1 = Annotated[float | None, typer.Option(help="Radial distortion left in the images; see `distortion`.")]
 ImageTopic = Annotated[str | None, typer.Option("--topic", help="Image topic of a ROS bag, if it holds several.")]
+Fov = Annotated[float | None, typer.Option(help="Degrees that a video without calibration is wide.")]
+Telemetry = Annotated[
+    Path | None,
+    typer.Option(
+        help="What a drone recorded: .srt or flight record (.csv); found beside a video if of the same name.",
+        metavar="FILE",
+    ),
+]
+TelemetryOffset = Annotated[
+    float | None,
+    typer.Option(help="Added to the times of the telemetry; estimated if not given.", metavar="SECONDS"),
+]
 Preset = Annotated[str | None, typer.Option(help="paper or tuned.", show_default="tuned")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
@@ -80,6 +92,9 @@ def run(
     camera_pitch: CameraPitch = None,
     camera_k1: CameraK1 = None,
     topic: ImageTopic = None,
+    fov: Fov = None,
+    telemetry: Telemetry = None,
+    telemetry_offset: TelemetryOffset = None,
 ) -> None:
     """Run an estimator on a sequence and keep the result in a folder."""
     from fvslam_graph.core.config import load_config
@@ -97,6 +112,9 @@ def run(
         camera_pitch=camera_pitch,
         camera_k1=camera_k1,
         topic=topic,
+        fov=fov,
+        telemetry=telemetry,
+        telemetry_offset=telemetry_offset,
     )
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{chosen.mode}-{chosen.preset}"
     said = _run(sequence, chosen, folder)
@@ -231,6 +249,9 @@ def info(
     camera_height: CameraHeight = None,
     camera_pitch: CameraPitch = None,
     topic: ImageTopic = None,
+    fov: Fov = None,
+    telemetry: Telemetry = None,
+    telemetry_offset: TelemetryOffset = None,
 ) -> None:
     """Say what is recognised in a recording: format, frames, camera, ground truth, scale, gaps; topics of a bag."""
     from fvslam_graph.sequences.describe import describe
@@ -238,7 +259,15 @@ def info(
 
     if topics := topics_of(path):  # also of a bag that does not open before a topic is chosen
         _show_facts([("topic", f"{known.name}: {known.count} {known.type}") for known in topics])
-    sequence = open_sequence(path, camera_height=camera_height, camera_pitch=camera_pitch, topic=topic)
+    sequence = open_sequence(
+        path,
+        camera_height=camera_height,
+        camera_pitch=camera_pitch,
+        topic=topic,
+        fov=fov,
+        telemetry=telemetry,
+        telemetry_offset=telemetry_offset,
+    )
     _show_facts(describe(sequence))
 
 

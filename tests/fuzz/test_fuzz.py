@@ -96,6 +96,7 @@ SUBJECTS = {
     "euroc": layout(30, "euroc"),
     "tum": layout(30, "tum"),
     "video": layout(15, "video", "/flight.avi"),
+    "telemetry": layout(15, "video", "/flight.avi", r".*\.srt"),
     "images": layout(20, "folder", "", r".*\.png")._replace(facts=None),
     "film": layout(10, "video", "/flight.avi", r".*\.avi")._replace(facts=None),
     "ros1": layout(10, "ros1", "/flight.bag", r".*\.bag")._replace(facts=None),
@@ -331,9 +332,10 @@ ODD = (
 )
 OPTIONS = {
     "run {root}/folder --out {out}": (
-        "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic"
+        "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic "
+        "fov telemetry telemetry-offset"
     ),
-    "info {root}/folder": "camera-height camera-pitch topic",
+    "info {root}/folder": "camera-height camera-pitch topic fov telemetry telemetry-offset",
     "distortion {root}/folder": "frames stride camera-k1",
     "evaluate {root}/run/run": "reference align time-offset",
     "plot {root}/folder": "out align landmarks",
