@@ -272,6 +272,48 @@ def info(
 
 
 @app.command()
+def calibrate(
+    path: Annotated[Path, typer.Argument(help="Folder of images of a board, or a video of it.")],
+    square: Annotated[float, typer.Option(help="Side of the squares.", metavar="METRES")],
+    checkerboard: Annotated[
+        str | None, typer.Option(help="Inner corners of a checkerboard, as 9x6.", metavar="COLUMNSxROWS")
+    ] = None,
+    charuco: Annotated[
+        str | None, typer.Option(help="Squares of a ChArUco board, as 7x5.", metavar="COLUMNSxROWS")
+    ] = None,
+    marker: Annotated[
+        float | None, typer.Option(help="Side of the markers of a ChArUco board.", metavar="METRES")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Calibration to write, with a picture beside it.")] = Path("camera.yaml"),
+) -> None:
+    """Calibrate a camera by a board: focal lengths, principal point and distortion, with standard deviations.
+
+    For what is left without a board, see `distortion`.
+    """
+    from fvslam_graph.core.errors import CameraError
+    from fvslam_graph.evaluation.calibration_plot import plot_residuals
+    from fvslam_graph.sequences import boards
+    from fvslam_graph.sequences.board_calibration import calibrate as calibrated
+
+    picture = out.with_name(f"{out.stem}_residuals.png")
+    for file in (out, picture):
+        if file.exists():
+            raise CameraError(f"{file} exists and is not overwritten; give another name by --out")
+    if checkerboard is not None and charuco is None and marker is None:
+        board = boards.checkerboard(checkerboard, square)
+    elif charuco is not None and checkerboard is None and marker is not None:
+        board = boards.charuco(charuco, square, marker)
+    else:
+        raise CameraError("give --checkerboard, or --charuco with --marker")
+    calibration = calibrated(path, *boards.find_board(path, board))
+    calibration.write(out)
+    plot_residuals(calibration, picture)
+    for name, (value, sigma) in calibration.parameters().items():
+        typer.echo(f"{name} = {value:.5g} +- {sigma:.2g}")
+    typer.echo(f"{len(calibration.views)} views, {calibration.rms:.3f} pixels root mean square; {out}, {picture}")
+
+
+@app.command()
 def distortion(
     path: SequencePath,
     frames: Frames = None,

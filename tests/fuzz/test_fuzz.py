@@ -337,13 +337,14 @@ OPTIONS = {
     ),
     "info {root}/folder": "camera-height camera-pitch topic fov telemetry telemetry-offset",
     "distortion {root}/folder": "frames stride camera-k1",
+    "calibrate {root}/folder/images --checkerboard 5x4 --square 0.1": "checkerboard square charuco marker out",
     "evaluate {root}/run/run": "reference align time-offset",
     "plot {root}/folder": "out align landmarks",
     "export {root}/run/run --to kml --out {out}": "to out origin gnss",
     "compare {root}/absent --out {out}": "modes seeds preset set external align workers",
     "study {root}/study/study.yaml --out {out}": "workers scheduler",
 }
-COMMANDS = ("run", "info", "distortion", "evaluate", "plot", "export", "compare", "study")
+COMMANDS = ("run", "info", "calibrate", "distortion", "evaluate", "plot", "export", "compare", "study")
 ARGUMENTS = [
     *(
         (command, f"--{option}", odd)
