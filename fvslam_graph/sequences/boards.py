@@ -20,7 +20,7 @@ from fvslam_graph.sequences.video import matches as is_video
 
 MIN_CORNERS = 12  # that a view is of; of a ChArUco board, a part may be seen
 MAX_WINDOW = 10  # pixels on each side of a corner that its edges are looked at
-_SEARCH = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+_BOARD_SEARCH = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
 _REFINED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
 MAX_IMAGES = 300  # of a video that are searched, evenly spaced
 # ChArUco boards carry markers of one of these; smaller dictionaries are the first markers of larger ones.
@@ -82,7 +82,7 @@ def checkerboard(size: str, square: float) -> Board:
     columns, rows = _size(size, square)
 
     def find(image: Image) -> tuple[NDArray[np.int_], NDArray[np.float32]]:
-        found, pixels = cv2.findChessboardCorners(image, (columns, rows), None, _SEARCH)
+        found, pixels = cv2.findChessboardCorners(image, (columns, rows), None, _BOARD_SEARCH)
         if not found:
             return np.empty(0, int), np.empty((0, 2), np.float32)
         grid = pixels.reshape(rows, columns, 2)

@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.sensors import SensorKind, SensorSeries, interpolate
+from fvslam_graph.sequences.drone_record import MAX_RECORD_GAP
 from fvslam_graph.sequences.image_motion import ImageMotion
+from fvslam_graph.sequences.oxts import EARTH_RADIUS
 
 Array = NDArray[np.float64]
 
 STEP = 0.1  # seconds between the samples that are compared, and between the offsets that are tried first
 FINE = 0.02  # seconds between those about the best one
 SMOOTHING = 3.0  # samples, standard deviation of a Gaussian: heights come in steps of 0.1 m, and slopes look like turns
-MAX_GAP = 2.5  # seconds; the oldest records have a row a second
 MIN_OVERLAP = 8.0  # seconds that both know
 MAX_DURATION = 20_000.0  # seconds of a flight; a record of more has stamps that jump
 MIN_HEIGHT = 1.0  # metres above the take-off; below, the drone stands or nearly so
-EARTH_RADIUS = 6_371_000.0  # metres
 # By how much the logarithm of the likelihood must be above that of any other offset. Measured on generated flights of
 # 30 and 60 s: at most 12 in 408 pairs of a video and the record of another flight, at least 47 with its own at 10 Hz.
 CLEAR = 15.0
@@ -88,14 +88,14 @@ def _likelihood(correlations: Array, independent: Array) -> Array:
 
 def _seen_rates(motion: ImageMotion, grid: Array) -> dict[str, Array]:
     rates = {"heading": -motion.turn, "climb": -motion.growth, "speed": motion.flow}
-    return {name: _smooth(interpolate(motion.stamps, rate, grid, MAX_GAP)) for name, rate in rates.items()}
+    return {name: _smooth(interpolate(motion.stamps, rate, grid, MAX_RECORD_GAP)) for name, rate in rates.items()}
 
 
 def _recorded_rates(known: dict[SensorKind, SensorSeries], grid: Array) -> dict[str, Array]:
     """What of the record images show, (len(grid),) each: change of heading, climb and speed over height."""
 
     def rate(stamps: Array, values: Array) -> Array:
-        return _smooth(interpolate(stamps, values, grid, MAX_GAP), derivative=1) / STEP
+        return _smooth(interpolate(stamps, values, grid, MAX_RECORD_GAP), derivative=1) / STEP
 
     rates = {}
     if (attitude := known.get(SensorKind.ATTITUDE)) is not None:
@@ -107,7 +107,7 @@ def _recorded_rates(known: dict[SensorKind, SensorSeries], grid: Array) -> dict[
             latitude, longitude = np.radians(place.values[:, :2]).T
             north = rate(place.stamps, EARTH_RADIUS * latitude)
             east = rate(place.stamps, EARTH_RADIUS * np.cos(latitude[0]) * np.unwrap(longitude))
-            rates["speed"] = np.hypot(north, east) / interpolate(height.stamps, metres, grid, MAX_GAP)
+            rates["speed"] = np.hypot(north, east) / interpolate(height.stamps, metres, grid, MAX_RECORD_GAP)
     return rates
 
 

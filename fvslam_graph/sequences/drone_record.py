@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 HEIGHT = ("height",)  # metres above the place of take-off
 GNSS = ("latitude", "longitude", "altitude")  # degrees, degrees, metres
 ATTITUDE = ("yaw", "pitch", "roll")  # of the camera, degrees: from north to east, above the horizon, to the right
+MAX_RECORD_GAP = 2.5  # seconds over which is interpolated; the oldest records have a row a second
+
 FIELDS = (*HEIGHT, *GNSS, *ATTITUDE)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera, Image
 from fvslam_graph.core.sequence import Sequence
 
-WIDTH = 320  # pixels that images are reduced to
+REDUCED_WIDTH = 320  # pixels that images are reduced to
 INTERVAL = 0.1  # seconds between the images that are compared, at least
 _POINTS, _QUALITY, _SPACING = 200, 0.01, 8
 MIN_POINTS = 20
@@ -36,7 +36,7 @@ class ImageMotion(NamedTuple):
 
 def measure_image_motion(sequence: Sequence) -> ImageMotion:
     """The rates of a whole recording, by a similarity that most tracked corners of each pair follow."""
-    camera = sequence.camera.scaled(min(1.0, WIDTH / sequence.camera.width))
+    camera = sequence.camera.scaled(min(1.0, REDUCED_WIDTH / sequence.camera.width))
     rows = []
     last: tuple[float, Image] | None = None
     for index, stamp in enumerate(sequence.stamps):

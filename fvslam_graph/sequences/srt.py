@@ -16,11 +16,11 @@ from fvslam_graph.core.sensors import SensorSeries
 from fvslam_graph.core.text_files import read_text
 from fvslam_graph.sequences.drone_record import FIELDS, sensor_series
 
-_NUMBER = r"[-+]?\d+(?:\.\d+)?"
+_SRT_NUMBER = r"[-+]?\d+(?:\.\d+)?"
 _TIMES = re.compile(r"^\s*(\d+):(\d\d):(\d\d)[,.](\d{3})\s*-->.*$", re.MULTILINE)
-_PAIR = re.compile(rf"\b([A-Za-z_]+)\s*:\s*({_NUMBER})")
-_PLACE = re.compile(rf"\bGPS\s*\(\s*({_NUMBER})\s*,\s*({_NUMBER})\s*,\s*({_NUMBER})\s*(M?)\s*\)")
-_HEIGHT = re.compile(rf"\bH\s+({_NUMBER})\s*m\b")
+_PAIR = re.compile(rf"\b([A-Za-z_]+)\s*:\s*({_SRT_NUMBER})")
+_PLACE = re.compile(rf"\bGPS\s*\(\s*({_SRT_NUMBER})\s*,\s*({_SRT_NUMBER})\s*,\s*({_SRT_NUMBER})\s*(M?)\s*\)")
+_HEIGHT = re.compile(rf"\bH\s+({_SRT_NUMBER})\s*m\b")
 _KEYS = {
     "height": ("rel_alt", "barometer"),
     "latitude": ("latitude",),

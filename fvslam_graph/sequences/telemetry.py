@@ -13,13 +13,13 @@ from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sensors import SensorKind, SensorSeries
 from fvslam_graph.core.sequence import Ground, Sequence
 from fvslam_graph.sequences.clock_offset import estimate_clock_offset
+from fvslam_graph.sequences.drone_record import MAX_RECORD_GAP
 from fvslam_graph.sequences.flight_record import read_flight_record
 from fvslam_graph.sequences.ground import GIVEN_TILT, UAV_TILT, level_ground
 from fvslam_graph.sequences.image_motion import measure_image_motion
 from fvslam_graph.sequences.srt import read_srt
 
 READERS: dict[str, Callable[[Path], tuple[SensorSeries, ...]]] = {".srt": read_srt, ".csv": read_flight_record}
-MAX_GAP = 2.5  # seconds; the oldest records have a row a second
 
 
 def add_telemetry(sequence: Sequence, file: Path, offset: float | None = None) -> Sequence:
@@ -91,7 +91,7 @@ def _offset(sequence: Sequence, recorded: tuple[SensorSeries, ...], file: Path) 
 
 def _ground_below(heights: SensorSeries, stamps: NDArray[np.float64]) -> Ground:
     """The ground at the height of the take-off, at the stamps (N,) of the frames; unknown where that is not below."""
-    metres = heights.interpolate(stamps, MAX_GAP)[:, 0]
+    metres = heights.interpolate(stamps, MAX_RECORD_GAP)[:, 0]
     metres[~(metres > 0)] = np.nan
     ground = level_ground(metres, UAV_TILT, f"{heights.source}, above the take-off")
     return replace(ground, height_sigma=float(np.nan_to_num(heights.sigmas[0, 0])))
@@ -99,7 +99,7 @@ def _ground_below(heights: SensorSeries, stamps: NDArray[np.float64]) -> Ground:
 
 def _seen_by_gimbal(ground: Ground, attitude: SensorSeries, stamps: NDArray[np.float64]) -> Ground:
     """The ground with the normal that the gimbal's pitch gives it: one for all frames, as uncertain as it changes."""
-    pitch = attitude.interpolate(stamps, MAX_GAP)[:, 1]
+    pitch = attitude.interpolate(stamps, MAX_RECORD_GAP)[:, 1]
     pitch = pitch[np.isfinite(pitch)]
     if not len(pitch):
         return ground
