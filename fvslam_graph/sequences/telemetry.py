@@ -21,6 +21,10 @@ from fvslam_graph.sequences.srt import read_srt
 
 READERS: dict[str, Callable[[Path], tuple[SensorSeries, ...]]] = {".srt": read_srt, ".csv": read_flight_record}
 
+# Seconds for which the first and the last height hold beyond the record. Otherwise, an offset that is off by a
+# millisecond leaves the first frame without height, and a slow camera measures against that frame for long.
+MAX_HOLD = 0.1
+
 
 def add_telemetry(sequence: Sequence, file: Path, offset: float | None = None) -> Sequence:
     """The sequence with the sensors of a record; heights above the take-off are its heights above the ground.
@@ -91,7 +95,9 @@ def _offset(sequence: Sequence, recorded: tuple[SensorSeries, ...], file: Path) 
 
 def _ground_below(heights: SensorSeries, stamps: NDArray[np.float64]) -> Ground:
     """The ground at the height of the take-off, at the stamps (N,) of the frames; unknown where that is not below."""
-    metres = heights.interpolate(stamps, MAX_RECORD_GAP)[:, 0]
+    first, last = heights.stamps[[0, -1]]
+    within = np.where((stamps > first - MAX_HOLD) & (stamps < last + MAX_HOLD), np.clip(stamps, first, last), stamps)
+    metres = heights.interpolate(within, MAX_RECORD_GAP)[:, 0]
     metres[~(metres > 0)] = np.nan
     ground = level_ground(metres, UAV_TILT, f"{heights.source}, above the take-off")
     return replace(ground, height_sigma=float(np.nan_to_num(heights.sigmas[0, 0])))

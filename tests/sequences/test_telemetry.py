@@ -185,6 +185,15 @@ def test_what_does_not_tell_is_not_taken(video, motion, record):
     assert sequence.notes[-1] == "the images do not tell clearly how far the clock of flight.srt is off: 0 s is taken"
 
 
+def test_the_first_and_the_last_height_hold_for_a_moment(video, motion):
+    (video.parent / "flight.srt").write_text(brackets(motion))
+    for early in (-0.09, 0.09):
+        heights = open_sequence(video, fov=FOV, telemetry_offset=early - LATE).ground.heights
+        assert np.isfinite(heights).all()
+    heights = open_sequence(video, fov=FOV, telemetry_offset=0.35 - LATE).ground.heights
+    assert np.isnan(heights[:3]).all() and np.isfinite(heights[3:]).all()
+
+
 def test_gaps_have_no_height(video, motion):
     cues = brackets(motion).split("\n\n")
     (video.parent / "flight.srt").write_text("\n\n".join(cues[:100] + cues[150:]))
