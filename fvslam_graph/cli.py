@@ -63,6 +63,18 @@ Gnss = Annotated[
 GnssSigma = Annotated[float | None, typer.Option(help="Standard deviation of fixes along each axis.", metavar="METRES")]
 CameraK1 = Annotated[float | None, typer.Option(help="Radial distortion left in the images; see `distortion`.")]
 ImageTopic = Annotated[str | None, typer.Option("--topic", help="Image topic of a ROS bag, if it holds several.")]
+Fov = Annotated[float | None, typer.Option(help="Degrees that a video without calibration is wide.")]
+Telemetry = Annotated[
+    Path | None,
+    typer.Option(
+        help="What a drone recorded: .srt or flight record (.csv); found beside a video if of the same name.",
+        metavar="FILE",
+    ),
+]
+TelemetryOffset = Annotated[
+    float | None,
+    typer.Option(help="Added to the times of the telemetry; estimated if not given.", metavar="SECONDS"),
+]
 Preset = Annotated[str | None, typer.Option(help="paper or tuned.", show_default="tuned")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
@@ -93,6 +105,9 @@ def run(
     camera_pitch: CameraPitch = None,
     camera_k1: CameraK1 = None,
     topic: ImageTopic = None,
+    fov: Fov = None,
+    telemetry: Telemetry = None,
+    telemetry_offset: TelemetryOffset = None,
     ground_plane: GroundPlane = None,
     altimeter: Altimeter = None,
     gnss: Gnss = None,
@@ -114,6 +129,9 @@ def run(
         camera_pitch=camera_pitch,
         camera_k1=camera_k1,
         topic=topic,
+        fov=fov,
+        telemetry=telemetry,
+        telemetry_offset=telemetry_offset,
     )
     sequence = _with_sensors(sequence, ground_plane, altimeter, gnss, gnss_sigma, chosen.seed)
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{chosen.mode}-{chosen.preset}"
@@ -249,6 +267,9 @@ def info(
     camera_height: CameraHeight = None,
     camera_pitch: CameraPitch = None,
     topic: ImageTopic = None,
+    fov: Fov = None,
+    telemetry: Telemetry = None,
+    telemetry_offset: TelemetryOffset = None,
 ) -> None:
     """Say what is recognised in a recording: format, frames, camera, ground truth, scale, gaps; topics of a bag."""
     from fvslam_graph.sequences.describe import describe
@@ -256,8 +277,58 @@ def info(
 
     if topics := topics_of(path):  # also of a bag that does not open before a topic is chosen
         _show_facts([("topic", f"{known.name}: {known.count} {known.type}") for known in topics])
-    sequence = open_sequence(path, camera_height=camera_height, camera_pitch=camera_pitch, topic=topic)
+    sequence = open_sequence(
+        path,
+        camera_height=camera_height,
+        camera_pitch=camera_pitch,
+        topic=topic,
+        fov=fov,
+        telemetry=telemetry,
+        telemetry_offset=telemetry_offset,
+    )
     _show_facts(describe(sequence))
+
+
+@app.command()
+def calibrate(
+    path: Annotated[Path, typer.Argument(help="Folder of images of a board, or a video of it.")],
+    square: Annotated[float, typer.Option(help="Side of the squares.", metavar="METRES")],
+    checkerboard: Annotated[
+        str | None, typer.Option(help="Inner corners of a checkerboard, as 9x6.", metavar="COLUMNSxROWS")
+    ] = None,
+    charuco: Annotated[
+        str | None, typer.Option(help="Squares of a ChArUco board, as 7x5.", metavar="COLUMNSxROWS")
+    ] = None,
+    marker: Annotated[
+        float | None, typer.Option(help="Side of the markers of a ChArUco board.", metavar="METRES")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Calibration to write, with a picture beside it.")] = Path("camera.yaml"),
+) -> None:
+    """Calibrate a camera by a board: focal lengths, principal point and distortion, with standard deviations.
+
+    For what is left without a board, see `distortion`.
+    """
+    from fvslam_graph.core.errors import CameraError
+    from fvslam_graph.evaluation.calibration_plot import plot_residuals
+    from fvslam_graph.sequences import boards
+    from fvslam_graph.sequences.board_calibration import calibrate as calibrated
+
+    picture = out.with_name(f"{out.stem}_residuals.png")
+    for file in (out, picture):
+        if file.exists():
+            raise CameraError(f"{file} exists and is not overwritten; give another name by --out")
+    if checkerboard is not None and charuco is None and marker is None:
+        board = boards.checkerboard(checkerboard, square)
+    elif charuco is not None and checkerboard is None and marker is not None:
+        board = boards.charuco(charuco, square, marker)
+    else:
+        raise CameraError("give --checkerboard, or --charuco with --marker")
+    calibration = calibrated(path, *boards.find_board(path, board))
+    calibration.write(out)
+    plot_residuals(calibration, picture)
+    for name, (value, sigma) in calibration.parameters().items():
+        typer.echo(f"{name} = {value:.5g} +- {sigma:.2g}")
+    typer.echo(f"{len(calibration.views)} views, {calibration.rms:.3f} pixels root mean square; {out}, {picture}")
 
 
 @app.command()

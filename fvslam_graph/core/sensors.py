@@ -19,6 +19,7 @@ class SensorKind(StrEnum):
     RANGE = "range"  # distance along the beam, m
     HEIGHT = "height"  # above the place of take-off, m
     PRESSURE = "pressure"  # of the air, Pa
+    ATTITUDE = "attitude"  # of the camera: yaw from north to east, pitch above the horizon, roll to the right, rad
 
 
 @dataclass(frozen=True)
@@ -58,13 +59,20 @@ class SensorSeries:
         return len(self.stamps)
 
     def interpolate(self, stamps: NDArray[np.float64], max_gap: float = MAX_READING_GAP) -> NDArray[np.float64]:
-        """Readings (M, D) at other times (M,), on the straight line between neighbours.
+        """Readings (M, D) at other times (M,), as `interpolate` has them."""
+        columns = [interpolate(self.stamps, column, stamps, max_gap) for column in self.values.T]
+        return np.column_stack(columns)
 
-        NaN outside, and in gaps longer than `max_gap` seconds.
-        """
-        after = np.clip(np.searchsorted(self.stamps, stamps), 0, len(self) - 1)
-        before = np.maximum(after - 1, 0)
-        known = (stamps >= self.stamps[0]) & (stamps <= self.stamps[-1])
-        known &= (self.stamps[after] - self.stamps[before] <= max_gap) | (self.stamps[after] == stamps)
-        columns = [np.interp(stamps, self.stamps, column) for column in self.values.T]
-        return np.where(known[:, None], np.column_stack(columns), np.nan)
+
+def interpolate(
+    stamps: NDArray[np.float64], values: NDArray[np.float64], at: NDArray[np.float64], max_gap: float
+) -> NDArray[np.float64]:
+    """Values (N,) at other times (M,), on the straight line between neighbours; NaN outside and in gaps.
+
+    A gap is longer than `max_gap` seconds; stamps are strictly increasing.
+    """
+    after = np.clip(np.searchsorted(stamps, at), 0, len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    known = (at >= stamps[0]) & (at <= stamps[-1])
+    known &= (stamps[after] - stamps[before] <= max_gap) | (stamps[after] == at)
+    return np.where(known, np.interp(at, stamps, values), np.nan)

@@ -166,7 +166,7 @@ LAYOUTS = (
         _matrix,
         "calibrationtime|nframes|nrofframes|board(width|height)|squaresize|markersize|(fix)?aspectratio|flags"
         "|avgreprojectionerror|perviewreprojectionerrors|imagepoints|gridpoints|extrinsicparameters"
-        "|cameraname|(rectification|projection)matrix|tbs|comment",
+        "|standarddeviations|cameraname|(rectification|projection)matrix|tbs|comment",
     ),
     CalibrationLayout("ROS's camera_info", "K", _matrix, "header|r|p"),
 )

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import SequenceError
-from fvslam_graph.core.sequence import Ground, Sequence
+from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.sequences.calibration import read_calibration
 from fvslam_graph.sequences.files import image_files, stamps_in_names
-from fvslam_graph.sequences.ground import UAV_TILT, altimeter_readings, level_ground
 from fvslam_graph.sequences.images import ImageFiles
-from fvslam_graph.sequences.tables import (
-    MAX_RATE,
-    MIN_RATE,
-    even_stamps,
-    read_table,
-    require_increasing,
-    to_numbers,
-)
+from fvslam_graph.sequences.tables import MAX_RATE, MIN_RATE, even_stamps
+from fvslam_graph.sequences.times import TIMES, read_times
 
 FORMAT = "folder"
 LAYOUT = "images/ and camera.yaml"
@@ -45,10 +37,12 @@ def read(path: Path) -> Sequence:
     source = path / "camera.yaml"
     calibration = read_calibration(source)
     camera = calibration.camera
-    times = path / "times.csv"
+    times = path / TIMES
     ground = None
     if times.exists():
-        paths, stamps, ground, notes = _listed(times)
+        listed = read_times(times, ("filename", "timestamp_s"))
+        paths = [path / "images" / name for name in listed.names or ()]
+        stamps, ground, notes = listed.stamps, listed.ground, listed.notes
     else:
         paths = image_files(path / "images")
         if not paths:
@@ -81,24 +75,3 @@ def _unlisted(paths: list[Path], rate: float | None) -> tuple[NDArray[np.float64
     source = "assumed" if rate is None else "as camera.yaml says"
     rate = rate or DEFAULT_RATE
     return even_stamps(len(paths), rate), f"the rate is {rate:g} Hz, {source}"
-
-
-def _listed(times: Path) -> tuple[list[Path], NDArray[np.float64], Ground | None, tuple[str, ...]]:
-    """Images, stamps and heights as `times.csv` lists them, and notes."""
-    header, *rows = read_table(times, ",") or [[]]
-    if "filename" not in header or "timestamp_s" not in header or not rows:
-        raise SequenceError(f"{times} should have a header with filename and timestamp_s, and a row for each image")
-    for number, row in enumerate(rows, 1):
-        if len(row) != len(header):
-            raise SequenceError(f"{times}: row {number} has {len(row)} values, the header has {len(header)}")
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
-
-    paths = [times.parent / "images" / name for name in columns["filename"]]
-    stamps = to_numbers(times, [[stamp] for stamp in columns["timestamp_s"]])[:, 0]
-    require_increasing(times, stamps)
-    heights = to_numbers(times, [[height or "nan"] for height in columns.get("height_m", ())]).ravel()
-    above, resolution, notes = altimeter_readings(heights, str(times))
-    if not np.isfinite(above).any():
-        return paths, stamps, None, notes
-    ground = level_ground(above, UAV_TILT, "times.csv height_m")
-    return paths, stamps, replace(ground, height_sigma=resolution), notes

@@ -7,12 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.sequences import bag, euroc, folder, karlsruhe, kitti_odometry, kitti_raw, tum_rgbd, video
 from fvslam_graph.sequences.ground import override_ground
 from fvslam_graph.sequences.plausibility import doubts
 from fvslam_graph.sequences.ros.reader import Topic
+from fvslam_graph.sequences.telemetry import add_telemetry, add_telemetry_beside
 
 
 class Format(Protocol):
@@ -43,6 +46,9 @@ def open_sequence(
     camera_height: float | None = None,
     camera_pitch: float | None = None,
     camera_k1: float | None = None,
+    fov: float | None = None,
+    telemetry: str | Path | None = None,
+    telemetry_offset: float | None = None,
     format: str | None = None,
     topic: str | None = None,
 ) -> Sequence:
@@ -56,6 +62,9 @@ def open_sequence(
         camera_height: Metres from the camera to the ground, where the format does not know or is wrong.
         camera_pitch: Radians by which the camera looks below the horizon; 0 is straight ahead, pi/2 straight down.
         camera_k1: Radial distortion that the calibration has left in the images, as `fvslam distortion` measures it.
+        fov: Degrees that the images of a video are wide, where it has no calibration, or instead of it.
+        telemetry: What a drone recorded, `.srt` or `.csv`; beside a video, a file of the same name is found.
+        telemetry_offset: Seconds to add to its times to have those since the first frame; estimated if not given.
         format: Name of the format, instead of finding out.
         topic: Image topic of a ROS bag, where it holds several.
 
@@ -65,7 +74,13 @@ def open_sequence(
     if not 0 < scale <= 1:
         raise SequenceError(f"the scale must be in (0, 1], not {scale:g}")
     start, stop = _slice(frames or ":")
-    sequence = _synthetic(path, topic) if str(path).startswith("synthetic:") else _recorded(Path(path), format, topic)
+    if str(path).startswith("synthetic:"):
+        sequence = _synthetic(path, topic)
+    else:
+        sequence = _recorded(Path(path), format, topic, fov)
+    if fov is not None and sequence.format != video.FORMAT:
+        raise SequenceError(f"a field of view is for videos; {path} has a calibration")
+    sequence = _with_telemetry(sequence, path, telemetry, telemetry_offset)
     sequence = override_ground(sequence, camera_height, camera_pitch).select(start, stop, stride)
     if camera_k1 is not None:
         sequence = sequence.undistorted(camera_k1)
@@ -79,6 +94,9 @@ def open_sequence(
         "camera_height": camera_height,
         "camera_pitch": camera_pitch,
         "camera_k1": camera_k1,
+        "fov": fov,
+        "telemetry": None if telemetry is None else str(Path(telemetry).expanduser().absolute()),
+        "telemetry_offset": telemetry_offset,
         "format": format,
         "topic": topic,
     }
@@ -102,16 +120,30 @@ def _synthetic(name: str | Path, topic: str | None) -> Sequence:
     return open_synthetic(str(name))
 
 
-def _recorded(path: Path, wanted: str | None, topic: str | None) -> Sequence:
+def _with_telemetry(sequence: Sequence, path: str | Path, given: str | Path | None, offset: float | None) -> Sequence:
+    if offset is not None and not np.isfinite(offset):
+        raise SequenceError(f"the offset of the telemetry must be a number of seconds, not {offset:g}")
+    if given is not None:
+        return add_telemetry(sequence, Path(given).expanduser(), offset)
+    if sequence.format == video.FORMAT:
+        return add_telemetry_beside(sequence, Path(path).expanduser().absolute(), offset)
+    if offset is not None:
+        raise SequenceError(f"no telemetry of {sequence.name} is given, whose clock could be off")
+    return sequence
+
+
+def _recorded(path: Path, wanted: str | None, topic: str | None, fov: float | None) -> Sequence:
     try:
         path = path.expanduser().absolute()
         found = _find_format(path, wanted)
-        if topic is None:
-            sequence = found.read(path)
-        elif found is bag:
-            sequence = bag.read(path, topic)
-        else:
+        if topic is not None and found is not bag:
             raise SequenceError(f"{path} is no bag, and has no topic '{topic}'")
+        if found is bag:
+            sequence = bag.read(path, topic)
+        elif found is video:
+            sequence = video.read(path, fov)
+        else:
+            sequence = found.read(path)
     except (OSError, RuntimeError) as error:  # a folder without permission, a disk that is gone, nobody's home
         raise SequenceError(f"{path} cannot be read: {error}") from None
     left_out = sequence.ground_truth.notes if sequence.ground_truth else ()

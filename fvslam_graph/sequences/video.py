@@ -1,7 +1,9 @@
-"""A video file with its calibration beside it: `flight.mp4` and `flight.yaml`, or `camera.yaml`."""
+"""A video file with its calibration beside it: `flight.mp4` and `flight.yaml`, or `camera.yaml`; and `times.csv`."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,8 +14,10 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera, Distortion, Image, Rectifier
 from fvslam_graph.core.errors import CameraError, SequenceError
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.sequences.calibration import read_calibration
+from fvslam_graph.sequences.calibration import Calibration, read_calibration
+from fvslam_graph.sequences.plausibility import MAX_VIEW, MIN_VIEW
 from fvslam_graph.sequences.tables import MAX_RATE, MIN_RATE, MIN_STEP, even_stamps
+from fvslam_graph.sequences.times import TIMES, Times, read_times
 
 FORMAT = "video"
 LAYOUT = "a video file with a .yaml of the same name or a camera.yaml beside it"
@@ -29,43 +33,88 @@ def matches(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES
 
 
-def read(path: Path) -> Sequence:
-    """Open a video; stamps are those that its frames are decoded with."""
-    candidates = [path.with_suffix(".yaml"), path.parent / "camera.yaml"]
-    source = next((file for file in candidates if file.exists()), None)
-    if source is None:
-        raise CameraError(f"{path} has no calibration beside it: write {candidates[0].name} or {candidates[1].name}")
-    calibration = read_calibration(source)
+def read(path: Path, fov: float | None = None) -> Sequence:
+    """Open a video; stamps are those of a `times.csv` beside it, or those that its frames are decoded with.
+
+    Args:
+        path: The file.
+        fov: Degrees that the image is wide, where there is no calibration, or instead of it.
+
+    Raises:
+        SequenceError: It cannot be decoded, or `times.csv` is of another video.
+        CameraError: There is no calibration, one of images of another size, or no such field of view.
+    """
+    video = Video(path)
+    calibration, source = (_by_width(video, fov), path) if fov is not None else _beside(path)
     camera = calibration.camera
-    video = Video(path, camera)
     if video.size != (camera.width, camera.height):
         raise CameraError(
             f"{path} is {video.size[0]}x{video.size[1]} pixels, but {source} is for {camera.width}x{camera.height}"
         )
-    stamps, notes = _stamps(video, calibration.rate)
+    times = path.parent / TIMES
+    listed = _listed(video, times) if times.exists() else _decoded(video, calibration.rate)
     return Sequence(
         name=path.stem,
         format=FORMAT,
         camera=camera.undistorted(),
-        stamps=stamps,
-        load=video.load,
-        notes=calibration.notes + notes + _cut_off(video),
+        stamps=listed.stamps,
+        load=video.loader(camera),
+        ground=listed.ground,
+        notes=calibration.notes + listed.notes + _cut_off(video),
     )
 
 
-def _stamps(video: Video, given: float | None) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Seconds of each frame, and notes; where the decoder knows none, evenly spaced ones."""
+def _beside(path: Path) -> tuple[Calibration, Path]:
+    """The calibration beside a video, and its file."""
+    candidates = [path.with_suffix(".yaml"), path.parent / "camera.yaml"]
+    source = next((file for file in candidates if file.exists()), None)
+    if source is None:
+        raise CameraError(
+            f"{path} has no calibration beside it: write {candidates[0].name} or {candidates[1].name}, "
+            "or give the field of view"
+        )
+    return read_calibration(source), source
+
+
+def _by_width(video: Video, fov: float) -> Calibration:
+    """A camera without distortion whose image is `fov` degrees wide."""
+    if not MIN_VIEW <= fov <= MAX_VIEW:
+        raise CameraError(
+            f"the field of view must be {MIN_VIEW:g} to {MAX_VIEW:g} degrees from side to side, not {fov:g}"
+        )
+    width, height = video.size
+    focal = width / 2 / np.tan(np.radians(fov) / 2)
+    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    return Calibration(camera, notes=(f"the camera is one whose image is {fov:g} degrees wide, without distortion",))
+
+
+def _listed(video: Video, times: Path) -> Times:
+    """Stamps and heights as `times.csv` lists them, for the frames that can be decoded."""
+    listed, frames = read_times(times), len(video.stamps)
+    if len(listed.stamps) < frames:
+        raise SequenceError(
+            f"{times} has {len(listed.stamps)} rows, but the video has {frames} frames: complete it, or remove it"
+        )
+    ground = listed.ground and replace(listed.ground, heights=listed.ground.heights[:frames])
+    notes = listed.notes
+    if len(listed.stamps) > frames:
+        notes += (f"{times.name} has {len(listed.stamps)} rows, of which the first {frames} are used",)
+    return replace(listed, stamps=listed.stamps[:frames], ground=ground, notes=notes)
+
+
+def _decoded(video: Video, given: float | None) -> Times:
+    """Seconds of each frame by the decoder; where it knows none, evenly spaced ones."""
     steps = np.diff(video.stamps)
     if np.all(steps > MIN_STEP) and (not len(steps) or MIN_RATE <= 1 / np.median(steps) <= MAX_RATE):
+        notes: tuple[str, ...] = ()
         if len(steps) and np.ptp(steps) > UNSTEADY:
             low, high = 1000 * steps.min(), 1000 * steps.max()
-            return video.stamps, (f"the frame rate varies: {low:.0f} to {high:.0f} ms between frames",)
-        return video.stamps, ()
+            notes = (f"the frame rate varies: {low:.0f} to {high:.0f} ms between frames",)
+        return Times(None, video.stamps, None, notes)
     known = next((rate for rate in (given, video.rate) if rate and MIN_RATE <= rate <= MAX_RATE), None)
     rate = known or DEFAULT_RATE
-    return even_stamps(len(video.stamps), rate), (
-        f"the video has no times of its frames, {rate:g} Hz is {'taken' if known else 'assumed'}",
-    )
+    note = f"the video has no times of its frames, {rate:g} Hz is {'taken' if known else 'assumed'}"
+    return Times(None, even_stamps(len(video.stamps), rate), None, (note,))
 
 
 def _cut_off(video: Video) -> tuple[str, ...]:
@@ -81,7 +130,6 @@ class Video:
 
     Args:
         path: The file.
-        camera: The camera as built; where it has distortion, frames are rectified.
 
     Attributes:
         stamps: (N,) seconds since the first frame, as decoded: what the header says of their number and rate may be
@@ -94,7 +142,7 @@ class Video:
         SequenceError: The file cannot be decoded.
     """
 
-    def __init__(self, path: Path, camera: Camera) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
         self._capture = cv2.VideoCapture(str(path))
         self._next = 0  # the frame that the capture stands at
@@ -106,14 +154,21 @@ class Video:
         self.claimed = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
         status = path.stat()
         self.stamps = _decoded_stamps(path, status.st_size, status.st_mtime_ns)
-        self._rectifier = None if camera.distortion is Distortion.NONE else Rectifier(camera, camera.undistorted())
 
-    def load(self, index: int) -> Image | None:
-        """Frame `index` as rectified (H, W) uint8; None where it cannot be decoded."""
+    def loader(self, camera: Camera) -> Callable[[int], Image | None]:
+        """Reads frame i as rectified (H, W) uint8, None where it cannot be decoded; `camera` is the one as built."""
+        rectifier = None if camera.distortion is Distortion.NONE else Rectifier(camera, camera.undistorted())
+
+        def load(index: int) -> Image | None:
+            image = self.frame(index)
+            return image if image is None or rectifier is None else rectifier(image)
+
+        return load
+
+    def frame(self, index: int) -> Image | None:
+        """Frame `index` as it is, (H, W) uint8; None where it cannot be decoded."""
         image = self._read(index)
-        if image is None or (image.shape[1], image.shape[0]) != self.size:
-            return None
-        return image if self._rectifier is None else self._rectifier(image)
+        return None if image is None or (image.shape[1], image.shape[0]) != self.size else image
 
     def _read(self, index: int) -> Image | None:
         if index < self._next:

@@ -52,6 +52,9 @@ class Source(BaseModel):
     camera_pitch: float | None = None
     camera_k1: float | None = None
     topic: str | None = None
+    fov: float | None = None
+    telemetry: str | None = None
+    telemetry_offset: float | None = None
 
     @property
     def label(self) -> str:

@@ -92,7 +92,12 @@ class Study(BaseModel):
         def absolute(path: str) -> str:
             return path if path.startswith("synthetic:") else str(folder.absolute() / Path(path).expanduser())
 
-        sequences = tuple(source.model_copy(update={"path": absolute(source.path)}) for source in self.sequences)
+        sequences = tuple(
+            source.model_copy(
+                update={"path": absolute(source.path), "telemetry": source.telemetry and absolute(source.telemetry)}
+            )
+            for source in self.sequences
+        )
         external = {
             sequence: {name: absolute(path) for name, path in files.items()}
             for sequence, files in self.external.items()

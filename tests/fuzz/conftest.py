@@ -125,6 +125,13 @@ def originals(tmp_path_factory: pytest.TempPathFactory, write_bag: Callable[...,
         writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     writer.release()
     write(video / "camera.yaml", CAMERA)
+    cues = (
+        f"{number + 1}\n00:00:00,{round(1000 * stamp):03d} --> 00:00:00,{round(1000 * stamp) + 100:03d}\n"
+        f"[latitude: 49.1] [longitude: 8.4] [rel_alt: {30 + number}.0 abs_alt: 130.0] "
+        f"[gb_yaw: 0.0 gb_pitch: -90.0 gb_roll: 0.0]\n\n"
+        for number, stamp in enumerate(STAMPS)
+    )
+    write(video / "flight.srt", "".join(cues))
 
     for name in ("ros1/flight.bag", "mcap/flight.mcap", "sqlite/flight.db3"):
         (root / name).parent.mkdir()

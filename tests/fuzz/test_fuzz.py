@@ -96,6 +96,7 @@ SUBJECTS = {
     "euroc": layout(30, "euroc"),
     "tum": layout(30, "tum"),
     "video": layout(15, "video", "/flight.avi"),
+    "telemetry": layout(15, "video", "/flight.avi", r".*\.srt"),
     "images": layout(20, "folder", "", r".*\.png")._replace(facts=None),
     "film": layout(10, "video", "/flight.avi", r".*\.avi")._replace(facts=None),
     "ros1": layout(10, "ros1", "/flight.bag", r".*\.bag")._replace(facts=None),
@@ -332,17 +333,18 @@ ODD = (
 OPTIONS = {
     "run {root}/folder --out {out}": (
         "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic "
-        "ground-plane altimeter gnss gnss-sigma"
+        "fov telemetry telemetry-offset ground-plane altimeter gnss gnss-sigma"
     ),
-    "info {root}/folder": "camera-height camera-pitch topic",
+    "info {root}/folder": "camera-height camera-pitch topic fov telemetry telemetry-offset",
     "distortion {root}/folder": "frames stride camera-k1",
+    "calibrate {root}/folder/images --checkerboard 5x4 --square 0.1": "checkerboard square charuco marker out",
     "evaluate {root}/run/run": "reference align time-offset",
     "plot {root}/folder": "out align landmarks",
     "export {root}/run/run --to kml --out {out}": "to out origin gnss",
     "compare {root}/absent --out {out}": "modes seeds preset set external align workers",
     "study {root}/study/study.yaml --out {out}": "workers scheduler",
 }
-COMMANDS = ("run", "info", "distortion", "evaluate", "plot", "export", "compare", "study")
+COMMANDS = ("run", "info", "calibrate", "distortion", "evaluate", "plot", "export", "compare", "study")
 ARGUMENTS = [
     *(
         (command, f"--{option}", odd)

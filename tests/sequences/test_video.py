@@ -140,10 +140,42 @@ def test_errors(flight):
         open_sequence(flight)
     calibration.unlink()
     with pytest.raises(
-        CameraError, match=r"flight\.mp4 has no calibration beside it: write flight\.yaml or camera\.yaml"
+        CameraError,
+        match=r"flight\.mp4 has no calibration beside it: write flight\.yaml or camera\.yaml, or give the fi",
     ):
         open_sequence(flight)
     calibration.write_text(CAMERA)
     flight.write_bytes(b"this is no video")
     with pytest.raises(SequenceError, match=r"flight\.mp4 cannot be decoded as a video"):
         open_sequence(flight)
+
+
+def test_times_and_heights_beside_it(flight):
+    times = flight.parent / "times.csv"
+    rows = [f"{100 + 0.05 * n:.2f},{5 + 0.1 * n:.1f}\n" for n in range(FRAMES)]
+    times.write_text("timestamp_s,height_m\n" + "".join(rows))
+    sequence = open_sequence(flight)
+    np.testing.assert_allclose(sequence.stamps, 100 + 0.05 * np.arange(FRAMES))
+    np.testing.assert_allclose(sequence.ground.heights, 5 + 0.1 * np.arange(FRAMES))
+    assert sequence.ground.source == "times.csv height_m" and sequence.notes == ()
+    times.write_text("timestamp_s\n" + "".join(f"{n}\n" for n in range(FRAMES + 1)))
+    assert open_sequence(flight).notes == (f"times.csv has {FRAMES + 1} rows, of which the first {FRAMES} are used",)
+    times.write_text("timestamp_s\n0\n1\n")
+    with pytest.raises(SequenceError, match=rf"times\.csv has 2 rows, but the video has {FRAMES} frames: complete it"):
+        open_sequence(flight)
+    times.write_text("stamp\n0\n1\n")
+    with pytest.raises(SequenceError, match=r"times\.csv should have a header with timestamp_s, and a row for each"):
+        open_sequence(flight)
+
+
+def test_a_field_of_view_instead_of_a_calibration(flight):
+    (flight.parent / "camera.yaml").unlink()
+    camera = open_sequence(flight, fov=90).camera
+    assert camera.fx == camera.fy == pytest.approx(32) and (camera.cx, camera.cy) == (31.5, 23.5)
+    assert open_sequence(flight, fov=90).notes == (
+        "the camera is one whose image is 90 degrees wide, without distortion",
+    )
+    with pytest.raises(CameraError, match="the field of view must be 5 to 175 degrees from side to side, not 200"):
+        open_sequence(flight, fov=200)
+    with pytest.raises(SequenceError, match="a field of view is for videos; synthetic:uav has a calibration"):
+        open_sequence("synthetic:uav", fov=90)
