@@ -10,19 +10,28 @@ import numpy as np
 
 from fvslam_graph.core.config import Config, ScaleSource
 from fvslam_graph.core.errors import ConfigError
-from fvslam_graph.core.frame_result import FrameResult
+from fvslam_graph.core.frame_result import Ending, FrameResult
+from fvslam_graph.core.modes import outside_mode
+from fvslam_graph.core.outside import method_results
+from fvslam_graph.core.plugins import Kind, Plugin, find
 from fvslam_graph.core.sensors import SensorKind
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.estimator import frame_estimator
+from fvslam_graph.estimator import frame_estimator, through
 from fvslam_graph.runs.results import Run, collect
 from fvslam_graph.runs.run_folder import RunWriter, read_run
 
+OWN_SCALE = "own"
+"""The scale source of estimators of other packages."""
 Watch = Callable[[Iterable[FrameResult]], Iterable[FrameResult]]
 """Takes results as they come; hands them on."""
 
 
 def run_sequence(
-    sequence: Sequence, config: Config, out: Path | None = None, watch: Watch = lambda results: results
+    sequence: Sequence,
+    config: Config,
+    out: Path | None = None,
+    watch: Watch = lambda results: results,
+    method: Plugin | None = None,
 ) -> Run:
     """Run the configured mode over a sequence.
 
@@ -31,16 +40,17 @@ def run_sequence(
         config: Mode, settings and seed; see `resolve_config`.
         out: Folder of the run; without it, nothing is written.
         watch: To show the progress.
+        method: A function of a sequence and a seed, which runs in place of the mode; this is its name then.
 
     Raises:
         ConfigError: The scale source needs what the sequence does not have.
         ResultsError: The folder holds something else than a run, is in use, or cannot be written.
     """
     config = resolve_config(config, sequence)
-    metadata = run_metadata(sequence, config)
+    metadata = run_metadata(sequence, config, method)
+    results, finish = _begin(sequence, config, method or outside_mode(config.mode))
+    results = watch(results)
     gnss = next((series for series in sequence.sensors if series.kind is SensorKind.GNSS), None)
-    estimator = frame_estimator(sequence, config)
-    results, finish = watch(estimator.through(sequence)), estimator.finish
     if out is None:
         return collect(results, config, metadata, sequence.ground_truth, gnss, finish)
     with RunWriter(out, config, metadata, sequence.ground_truth, gnss, finish) as writer:
@@ -49,12 +59,24 @@ def run_sequence(
     return read_run(out)
 
 
+def _begin(
+    sequence: Sequence, config: Config, outside: Plugin | None
+) -> tuple[Iterable[FrameResult], Callable[[], Ending | None]]:
+    """The results as they come, and what to call after the last of them."""
+    if outside is not None and outside.is_method:
+        return method_results(config.mode, outside.object, sequence, config.seed), lambda: None
+    estimator = frame_estimator(sequence, config)
+    return through(estimator, sequence), estimator.finish
+
+
 def resolve_config(config: Config, sequence: Sequence) -> Config:
     """The settings that hold for a sequence: without a known ground, the scale is relative.
 
     Raises:
         ConfigError: The scale source is `oracle` and there is no ground truth.
     """
+    if _has_own_scale(outside_mode(config.mode)):
+        return config
     source = config.scale.source
     if source is ScaleSource.ORACLE and sequence.ground_truth is None:
         raise ConfigError(f"{sequence.name} has no ground truth for the scale source 'oracle'; choose another source")
@@ -64,20 +86,27 @@ def resolve_config(config: Config, sequence: Sequence) -> Config:
     return config
 
 
-def run_metadata(sequence: Sequence, config: Config) -> dict[str, Any]:
-    """The entries of run.json about sequence and mode."""
+def run_metadata(sequence: Sequence, config: Config, method: Plugin | None = None) -> dict[str, Any]:
+    """The entries of run.json about sequence and mode; arguments as for `run_sequence`."""
+    others = (method, find(sequence.format, (Kind.FORMAT,), ()))
     camera = sequence.camera
     return {
-        "mode": config.mode.value,
+        "mode": config.mode,
         "sequence": sequence.name,
         "format": sequence.format,
         "frames": len(sequence),
         "source": sequence.source,
         "camera": {"width": camera.width, "height": camera.height}
         | {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")},
-        "scale_source": config.scale.source.value,
+        "scale_source": OWN_SCALE if _has_own_scale(method or outside_mode(config.mode)) else config.scale.source.value,
         "ground": None if sequence.ground is None else sequence.ground.source,
         "down": None if sequence.ground is None else sequence.ground.normal,
         "notes": list(sequence.notes),
         "seed": config.seed,
+        "plugins": [*config.origins, *(other.origin for other in others if other is not None)],
     }
+
+
+def _has_own_scale(outside: Plugin | None) -> bool:
+    """Whether the scale source of the settings does not hold: for estimators of other packages."""
+    return outside is not None and outside.kind is Kind.ESTIMATOR

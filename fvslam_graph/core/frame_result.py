@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
@@ -69,6 +69,6 @@ class FrameResult:
     status: Status
     previous: int
     relative: GaussianPose
-    measures: Mapping[str, float]
-    times: Mapping[str, float]
+    measures: Mapping[str, float] = field(default_factory=dict)
+    times: Mapping[str, float] = field(default_factory=dict)
     slam: SlamEstimate | None = None
