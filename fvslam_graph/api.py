@@ -7,25 +7,28 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera, Distortion, Rectifier
-from fvslam_graph.core.config import Config, Mode, ScaleSource, load_config
+from fvslam_graph.core.config import Config, ScaleSource, load_config
 from fvslam_graph.core.errors import ConfigError, EstimationError
 from fvslam_graph.core.frame_result import Ending, FrameResult
+from fvslam_graph.core.modes import MODES, Mode
 from fvslam_graph.core.sensors import Fix
 from fvslam_graph.core.sequence import Frame, Ground, Sequence
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.estimator import FrameEstimator
+from fvslam_graph.estimator import begin
 
 if TYPE_CHECKING:
+    from fvslam_graph.core.outside import Method
     from fvslam_graph.evaluation.metrics import Evaluation
     from fvslam_graph.runs.export.formats import Export
     from fvslam_graph.runs.results import Run
     from fvslam_graph.study.results import StudyResults
+    from fvslam_graph.study.spec import ComparisonOptions
 
 
 class Estimator:
@@ -41,7 +44,8 @@ class Estimator:
 
     Args:
         camera: As built: images are rectified where it has a distortion.
-        mode: "vo", "vslam", "average", "intersection" or "graph".
+        mode: "vo", "vslam", "average", "intersection" or "graph", or what another package adds: its name, or a path
+            such as "mypkg:MyRule".
         ground: What is known of the ground below; without it, the scale is relative.
         preset: "paper" or "tuned".
         settings: What differs from the preset, such as {"graph.lag": 5.0}, which bounds the memory of mode "graph".
@@ -67,8 +71,9 @@ class Estimator:
             config = config.in_relative_scale()
         self.camera = camera
         self._ground = ground
+        self._takes_positions = config.mode == Mode.GRAPH and not config.scale.relative
         self._rectify = None if camera.distortion is Distortion.NONE else Rectifier(camera, camera.undistorted())
-        self._estimator = FrameEstimator(camera.undistorted(), config, ground)
+        self._estimator = begin(camera.undistorted(), config, ground)
         self._count, self._stamp, self._finished = 0, -math.inf, False
 
     def step(
@@ -118,8 +123,7 @@ class Estimator:
         return self._estimator.finish()
 
     def _fix(self, stamp: float, position: tuple[float, ...]) -> Fix:
-        config = self._estimator.config
-        if config.mode is not Mode.GRAPH or config.scale.relative:
+        if not self._takes_positions:
             raise EstimationError("positions are used in mode graph, where a known ground gives metres")
         good = len(position) == 4 and all(map(math.isfinite, position))
         if not (good and abs(position[0]) <= 90 and abs(position[1]) <= 180 and position[3] > 0):
@@ -151,7 +155,7 @@ def run(
 
     Args:
         sequence: As `open_sequence` returns it, or what it takes: a folder, a video or `synthetic:uav`.
-        mode: "vo", "vslam", "average", "intersection" or "graph".
+        mode: "vo", "vslam", "average", "intersection" or "graph", or what another package adds, as for `Estimator`.
         preset: "paper" or "tuned".
         settings: What differs from the preset, such as {"scale.source": "map"}.
         seed: Of all random numbers.
@@ -227,28 +231,30 @@ def export(
 
 
 def compare(
-    sequence: str | Path,
-    modes: Iterable[str] = tuple(Mode),
+    sequence: Sequence | str | Path,
+    modes: Iterable[str | Method] = MODES,
     seeds: int | Iterable[int] = 5,
-    preset: str = "tuned",
-    settings: Mapping[str, Any] | None = None,
-    external: Mapping[str, str | Path] | None = None,
-    align: str = "sim3",
     out: str | Path | None = None,
     workers: int = 1,
+    **options: Unpack[ComparisonOptions],
 ) -> StudyResults:
-    """Run several modes on one sequence, over several seeds, beside the trajectories of other systems.
+    """Run several modes on one sequence, over several seeds, beside estimators and trajectories of others.
+
+        compare("synthetic:uav", ["vo", "graph", my_function], external={"ORB-SLAM3": "orbslam3.tum"})
+
+    A function is called with the sequence and a seed, and returns a `Trajectory`, or yields a `FrameResult` for each
+    frame. One that cannot be imported by its name runs in this process, each time anew.
 
     Args:
-        sequence: A folder, a video or `synthetic:uav`.
-        modes: Which.
+        sequence: A folder, a video, `synthetic:uav`, or a `Sequence`.
+        modes: Which; as for `run`, or functions.
         seeds: How many, or which.
-        preset: "paper" or "tuned".
-        settings: What differs from the preset; a list of values makes a variant of each.
-        external: Trajectory files by the name of their system; see `fvslam_graph.study.external.external_run`.
-        align: "none", "origin", "se3" or "sim3".
-        out: Folder for runs, tables, figures and report; runs/compare-... if not given. Runs that it holds are kept.
+        out: Folder for runs, tables, figures and report; runs/comparison-on-... if not given. Runs that it holds are
+            kept.
         workers: Processes at once; with several, times are those of runs that share the machine.
+        options: preset ("paper" or "tuned"); settings, what differs from the preset, where a list of values makes a
+            variant of each; external, trajectory files (see `fvslam_graph.study.external.external_run`) or functions
+            by a name of their own; align ("none", "origin", "se3" or "sim3", by default the last).
 
     Returns:
         `table` is a pandas DataFrame with a row for each run, `summary()` the table of medians.
@@ -259,7 +265,7 @@ def compare(
     from fvslam_graph.study.run import run_study
     from fvslam_graph.study.spec import comparison, default_folder
 
-    study = comparison(sequence, modes, seeds, preset, settings, external, align)
+    study = comparison(sequence, modes, seeds, **options)
     return run_study(study, default_folder(study) if out is None else Path(out), workers)
 
 

@@ -10,9 +10,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
+from typer.core import TyperCommand
 
 from fvslam_graph.core.errors import FvslamError
 
@@ -43,6 +44,7 @@ SequencePath = Annotated[
         help="Folder of KITTI, EuRoC, TUM, Karlsruhe or plain images, ROS bag, video, synthetic:uav, synthetic:drive.",
     ),
 ]
+Format = Annotated[str | None, typer.Option(help="Of the recording, where it is not to be found out.")]
 Frames = Annotated[str | None, typer.Option(help="Part of the sequence, START:STOP.", metavar="A:B")]
 Stride = Annotated[int, typer.Option(help="Take every n-th frame.", min=1)]
 ImageScale = Annotated[float, typer.Option(help="Resize the images by this factor, at most 1.")]
@@ -82,14 +84,26 @@ Settings = Annotated[
 Align = Annotated[str, typer.Option(help="none, origin, se3 or sim3.")]
 
 
-@app.command()
+class _WithPlugins(TyperCommand):
+    """A command whose help ends with what other packages add; these are looked for only when it is asked for."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        from fvslam_graph.core.plugins import Kind, names
+
+        added = [f"{kind} {name} ({owner})" for kind in Kind for name, owner in names(kind).items()]
+        self.epilog = f"Other packages add: {', '.join(added)}." if added else None
+        super().format_help(ctx, formatter)
+
+
+@app.command(cls=_WithPlugins)
 def run(
     path: SequencePath,
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run; runs/<sequence>-<mode>-<preset> if not given.")
     ] = None,
     mode: Annotated[
-        str | None, typer.Option(help="vo, vslam, average, intersection or graph.", show_default="vo")
+        str | None,
+        typer.Option(help="vo, vslam, average, intersection, graph, or a path like mypkg:MyRule.", show_default="vo"),
     ] = None,
     preset: Preset = None,
     config: Annotated[
@@ -98,6 +112,7 @@ def run(
     ] = None,
     settings: Settings = None,
     seed: Annotated[int | None, typer.Option(help="Of all random numbers.", show_default="0")] = None,
+    format: Format = None,
     frames: Frames = None,
     stride: Stride = 1,
     image_scale: ImageScale = 1.0,
@@ -122,6 +137,7 @@ def run(
     chosen = load_config(preset, config, [*given, *(settings or [])])
     sequence = open_sequence(
         path,
+        format=format,
         frames=frames,
         stride=stride,
         scale=image_scale,
@@ -134,7 +150,7 @@ def run(
         telemetry_offset=telemetry_offset,
     )
     sequence = _with_sensors(sequence, ground_plane, altimeter, gnss, gnss_sigma, chosen.seed)
-    folder = out or Path("runs") / f"{file_name(sequence.name)}-{chosen.mode}-{chosen.preset}"
+    folder = out or Path("runs") / f"{file_name(sequence.name)}-{file_name(chosen.mode)}-{chosen.preset}"
     said = _run(sequence, chosen, folder)
     typer.echo(f"{said}; next: fvslam evaluate {folder}; fvslam plot {folder}")
 
@@ -208,10 +224,10 @@ def export(
         typer.echo(note, err=True)
 
 
-@app.command()
+@app.command(cls=_WithPlugins)
 def compare(
     path: SequencePath,
-    modes: Annotated[str, typer.Option(help="Comma-separated.")] = "vo,vslam,average,intersection,graph",
+    modes: Annotated[str, typer.Option(help="Comma-separated; as for run.")] = "vo,vslam,average,intersection,graph",
     seeds: Annotated[int, typer.Option(help="How many runs of each mode.", min=1)] = 5,
     topic: ImageTopic = None,
     preset: Preset = None,
@@ -230,7 +246,7 @@ def compare(
     """Run all modes on a sequence over several seeds, and compare them, also with other systems."""
     from fvslam_graph.core.errors import ConfigError
     from fvslam_graph.core.yaml_files import parse_yaml
-    from fvslam_graph.study.jobs import Source
+    from fvslam_graph.study.sources import Source
     from fvslam_graph.study.spec import comparison, default_folder
 
     files = dict(_pair(text, "--external", "NAME=FILE") for text in external or [])
@@ -239,15 +255,17 @@ def compare(
         Source(path=path, topic=topic),
         modes.split(","),
         seeds,
-        preset or "tuned",
-        {name: parse_yaml(value, f"the value of '{name}={value}'", ConfigError) for name, value in values.items()},
-        files,
-        align,
+        preset=preset or "tuned",
+        settings={
+            name: parse_yaml(value, f"the value of '{name}={value}'", ConfigError) for name, value in values.items()
+        },
+        external=files,
+        align=align,
     )
     _run_study(study, out or default_folder(study), workers)
 
 
-@app.command()
+@app.command(cls=_WithPlugins)
 def study(
     file: Annotated[Path, typer.Argument(metavar="STUDY.yaml", help="Sequences, modes, settings, seeds.")],
     out: Annotated[Path | None, typer.Option(help="Folder; runs/<name> if not given. What it holds is kept.")] = None,
@@ -261,9 +279,10 @@ def study(
     _run_study(declared, out or default_folder(declared), workers, scheduler)
 
 
-@app.command()
+@app.command(cls=_WithPlugins)
 def info(
     path: SequencePath,
+    format: Format = None,
     camera_height: CameraHeight = None,
     camera_pitch: CameraPitch = None,
     topic: ImageTopic = None,
@@ -279,6 +298,7 @@ def info(
         _show_facts([("topic", f"{known.name}: {known.count} {known.type}") for known in topics])
     sequence = open_sequence(
         path,
+        format=format,
         camera_height=camera_height,
         camera_pitch=camera_pitch,
         topic=topic,
@@ -357,7 +377,8 @@ def demo(
     frames: Annotated[int, typer.Option(help="Length of the flight.", min=10)] = 200,
 ) -> None:
     """Fly a small UAV over generated terrain, estimate its motion in all modes, and compare."""
-    from fvslam_graph.core.config import Mode, load_config
+    from fvslam_graph.core.config import load_config
+    from fvslam_graph.core.modes import Mode
     from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.evaluation.report import runs_table

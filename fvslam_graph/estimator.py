@@ -10,11 +10,15 @@ from functools import partial
 import numpy as np
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.core.config import Config, Mode, ScaleSource
+from fvslam_graph.core.config import Config, ScaleSource
+from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.frame_result import Ending, FrameResult
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.core.landmark_finder import LandmarkFinder
+from fvslam_graph.core.modes import Mode, outside_mode
+from fvslam_graph.core.outside import OutsideSteps
+from fvslam_graph.core.plugins import Kind
 from fvslam_graph.core.sequence import DuplicateFilter, Frame, Ground, Sequence
 from fvslam_graph.core.slam_estimate import LandmarkObservations, MatchOutcome, SlamEstimate
 from fvslam_graph.core.stopwatch import Stopwatch
@@ -23,7 +27,7 @@ from fvslam_graph.core.trajectory import Status
 from fvslam_graph.core.vo_estimate import VoEstimate
 from fvslam_graph.fusion.fusion import Fusion, RuleFusion, SlamAlone
 from fvslam_graph.fusion.graph_fusion import GraphFusion
-from fvslam_graph.fusion.rules import Average, Intersection
+from fvslam_graph.fusion.rules import Average, FusionRule, Intersection, OutsideRule
 from fvslam_graph.fusion.schedule import InterleaveSchedule
 from fvslam_graph.slam.patch_finder import PatchFinder
 from fvslam_graph.slam.vslam import VSlam
@@ -51,7 +55,7 @@ class FrontEnd:
 
 def stages(config: Config) -> tuple[str, ...]:
     """The stages that a frame's time is made up of."""
-    return ("read", *VO_STAGES) if config.mode is Mode.VO else ("read", *VO_STAGES, *SLAM_STAGES)
+    return ("read", *VO_STAGES) if config.mode == Mode.VO else ("read", *VO_STAGES, *SLAM_STAGES)
 
 
 class FrameEstimator:
@@ -62,10 +66,16 @@ class FrameEstimator:
         config: Mode, settings and seed, as `resolve_config` leaves them.
         ground: What is known of the ground plane.
         front_end: What is seen, in place of images.
+        rule: Fuses, in place of that of the mode.
     """
 
     def __init__(
-        self, camera: Camera, config: Config, ground: Ground | None = None, front_end: FrontEnd | None = None
+        self,
+        camera: Camera,
+        config: Config,
+        ground: Ground | None = None,
+        front_end: FrontEnd | None = None,
+        rule: FusionRule | None = None,
     ) -> None:
         front_end = front_end or FrontEnd()
         self.config = config
@@ -74,7 +84,7 @@ class FrameEstimator:
         self._metres = _MetricRecovery(begin_vo, possible=not config.needs_odometry and not config.scale.relative)
         finder = front_end.finder or PatchFinder(camera, config.features, config.slam)
         self._vslam = VSlam(camera, config.slam, finder, np.random.default_rng([config.seed, 1]))
-        self._fusion = _fusion(camera, config, ground)
+        self._fusion = _fusion(camera, config, ground) if rule is None else RuleFusion(rule)
         self._schedule = InterleaveSchedule(config.interleave, config.slam.shorten)
         self._duplicates = DuplicateFilter()
         self._calibration = OnlineCalibration(camera, config.vo.calibrate and front_end.tracker is None)
@@ -97,11 +107,11 @@ class FrameEstimator:
 
         # S_f: visual SLAM, on every k-th frame, from where odometry first knows enough to start it.
         slam: SlamEstimate | None = None
-        if config.mode is not Mode.VO and not vslam.started and odometry is not None:
+        if config.mode != Mode.VO and not vslam.started and odometry is not None:
             slam = self._start(frame, odometry)
             if slam is not None:
                 fusion.start(slam.pose, self._filed(slam.observations))
-        elif config.mode is not Mode.VO and frame.index - vslam.index >= self._schedule.distance:
+        elif config.mode != Mode.VO and frame.index - vslam.index >= self._schedule.distance:
             prior = fusion.motion if config.odometry_is_prior else None
             slam = vslam.step(frame, prior, self._followed(odometry))
             previous, status, found = slam.previous, slam.status, slam.status is Status.TRACKED
@@ -110,7 +120,7 @@ class FrameEstimator:
             # P_f: both fused, and the reference from which both go on.
             with stopwatch.stage("fusion"):
                 motion = fusion.fuse(slam.pose, slam.prev_T_cur, self._filed(slam.observations) if found else None)
-            if config.mode is not Mode.VSLAM:
+            if config.mode != Mode.VSLAM:
                 vslam.reset_pose(fusion.reference)
 
             anew = self._in_metres_again(frame, status)
@@ -127,15 +137,6 @@ class FrameEstimator:
         return FrameResult(
             frame.index, frame.stamp, fusion.pose, status, previous, motion, measures, times, slam, fusion.enu
         )
-
-    def through(self, sequence: Sequence) -> Iterator[FrameResult]:
-        """Estimate all frames of a sequence, which are read one by one; the result of each as soon as it is known."""
-        for index in range(len(sequence)):
-            stopwatch = Stopwatch()
-            with stopwatch.stage("read"):
-                frame = sequence.frame(index)
-            result = self.step(frame)
-            yield replace(result, times=dict(result.times) | stopwatch.times)
 
     def finish(self) -> Ending | None:
         """What all frames together say; None where the mode does not smooth."""
@@ -194,13 +195,41 @@ def estimate(sequence: Sequence, config: Config, front_end: FrontEnd | None = No
     Raises:
         ConfigError: The scale source needs what the sequence does not have.
     """
-    return frame_estimator(sequence, config, front_end).through(sequence)
+    return through(frame_estimator(sequence, config, front_end), sequence)
 
 
-def frame_estimator(sequence: Sequence, config: Config, front_end: FrontEnd | None = None) -> FrameEstimator:
+def through(estimator: FrameEstimator | OutsideSteps, sequence: Sequence) -> Iterator[FrameResult]:
+    """Estimate all frames of a sequence, which are read one by one; the result of each as soon as it is known."""
+    for index in range(len(sequence)):
+        stopwatch = Stopwatch()
+        with stopwatch.stage("read"):
+            frame = sequence.frame(index)
+        result = estimator.step(frame)
+        yield replace(result, times=dict(result.times) | stopwatch.times)
+
+
+def frame_estimator(
+    sequence: Sequence, config: Config, front_end: FrontEnd | None = None
+) -> FrameEstimator | OutsideSteps:
     """The estimator for a sequence; arguments as for `estimate`."""
     front_end = front_end or FrontEnd(baseline=_true_baseline(sequence, config))
-    return FrameEstimator(sequence.camera, config, sequence.ground, front_end)
+    return begin(sequence.camera, config, sequence.ground, front_end)
+
+
+def begin(
+    camera: Camera, config: Config, ground: Ground | None = None, front_end: FrontEnd | None = None
+) -> FrameEstimator | OutsideSteps:
+    """The estimator of the configured mode, ours or that of another package; arguments as for `FrameEstimator`.
+
+    Raises:
+        ConfigError: It is a function, which wants the whole sequence.
+    """
+    outside = outside_mode(config.mode)
+    if outside is None or outside.kind is Kind.RULE:
+        return FrameEstimator(camera, config, ground, front_end)
+    if outside.is_method:
+        raise ConfigError(f"the estimator '{config.mode}' is made for whole sequences, not for one frame after another")
+    return OutsideSteps(config.mode, outside.make(camera, ground, config.seed))
 
 
 class _MetricRecovery:
@@ -228,13 +257,15 @@ class _MetricRecovery:
 
 def _fusion(camera: Camera, config: Config, ground: Ground | None) -> Fusion:
     """The fusion of the mode; in mode `vo` there is nothing to fuse."""
-    if config.mode is Mode.GRAPH:
+    if config.mode == Mode.GRAPH:
         scale = config.scale
         return GraphFusion(camera, config.graph, ground, scale.relative, scale.ground.roughness)
-    if config.mode is Mode.INTERSECTION:
+    if config.mode == Mode.INTERSECTION:
         return RuleFusion(Intersection(config.fusion.criterion))
-    if config.mode is Mode.AVERAGE:
+    if config.mode == Mode.AVERAGE:
         return RuleFusion(Average(config.fusion.weight, config.fusion.geodesic))
+    if (outside := outside_mode(config.mode)) is not None:
+        return RuleFusion(OutsideRule(config.mode, outside.make()))
     return SlamAlone()
 
 
@@ -262,7 +293,7 @@ def _measures(config: Config, odometry: VoEstimate | None, slam: SlamEstimate | 
         "scale_sigma": scale.metres * math.sqrt(scale.variance) if scale else math.nan,
         "parallax_px": math.nan if odometry is None else odometry.parallax,
     }
-    if config.mode is Mode.VO:
+    if config.mode == Mode.VO:
         return measures
     outcomes = (
         np.bincount(slam.matches.outcome, minlength=len(MatchOutcome)) if slam else np.full(len(MatchOutcome), math.nan)

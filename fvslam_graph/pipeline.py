@@ -9,15 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from fvslam_graph.core.config import Config, Mode, ScaleSource
+from fvslam_graph.core.config import Config, ScaleSource
 from fvslam_graph.core.errors import ConfigError
-from fvslam_graph.core.frame_result import FrameResult
+from fvslam_graph.core.frame_result import Ending, FrameResult
+from fvslam_graph.core.modes import Mode, outside_mode
+from fvslam_graph.core.outside import method_results
+from fvslam_graph.core.plugins import Kind, Plugin, find
 from fvslam_graph.core.sensors import SensorKind
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.estimator import frame_estimator
+from fvslam_graph.estimator import frame_estimator, through
 from fvslam_graph.runs.results import Run, collect
 from fvslam_graph.runs.run_folder import RunWriter, read_run
 
+OWN_SCALE = "own"
+"""The scale source of estimators of other packages."""
 Watch = Callable[[Iterable[FrameResult]], Iterable[FrameResult]]
 """Takes results as they come; hands them on."""
 
@@ -25,7 +30,11 @@ ENU_COLUMNS = ("east", "north", "up", "east_sigma", "north_sigma", "up_sigma")
 
 
 def run_sequence(
-    sequence: Sequence, config: Config, out: Path | None = None, watch: Watch = lambda results: results
+    sequence: Sequence,
+    config: Config,
+    out: Path | None = None,
+    watch: Watch = lambda results: results,
+    method: Plugin | None = None,
 ) -> Run:
     """Run the configured mode over a sequence.
 
@@ -34,16 +43,17 @@ def run_sequence(
         config: Mode, settings and seed; see `resolve_config`.
         out: Folder of the run; without it, nothing is written.
         watch: To show the progress.
+        method: A function of a sequence and a seed, which runs in place of the mode; this is its name then.
 
     Raises:
         ConfigError: The scale source needs what the sequence does not have.
         ResultsError: The folder holds something else than a run, is in use, or cannot be written.
     """
     config = resolve_config(config, sequence)
-    metadata = run_metadata(sequence, config)
+    metadata = run_metadata(sequence, config, method)
     gnss = sequence.gnss or next((series for series in sequence.sensors if series.kind is SensorKind.GNSS), None)
-    estimator = frame_estimator(sequence, config)
-    results, finish = watch(estimator.through(sequence)), estimator.finish
+    results, finish = _begin(sequence, config, method or outside_mode(config.mode))
+    results = watch(results)
     if sequence.gnss is not None:
         results = map(_with_enu_columns, results)
     if out is None:
@@ -54,6 +64,16 @@ def run_sequence(
     return read_run(out)
 
 
+def _begin(
+    sequence: Sequence, config: Config, outside: Plugin | None
+) -> tuple[Iterable[FrameResult], Callable[[], Ending | None]]:
+    """The results as they come, and what to call after the last of them."""
+    if outside is not None and outside.is_method:
+        return method_results(config.mode, outside.object, sequence, config.seed), lambda: None
+    estimator = frame_estimator(sequence, config)
+    return through(estimator, sequence), estimator.finish
+
+
 def resolve_config(config: Config, sequence: Sequence) -> Config:
     """The settings that hold for a sequence: without a known ground, the scale is relative.
 
@@ -62,7 +82,7 @@ def resolve_config(config: Config, sequence: Sequence) -> Config:
             without a factor graph or without metres.
     """
     config = _with_known_scale(config, sequence)
-    if sequence.gnss is not None and config.mode is not Mode.GRAPH:
+    if sequence.gnss is not None and config.mode != Mode.GRAPH:
         raise ConfigError(f"fixes of a GNSS receiver are used in mode graph alone, not in {config.mode}")
     if sequence.gnss is not None and config.scale.relative:
         raise ConfigError(
@@ -73,6 +93,8 @@ def resolve_config(config: Config, sequence: Sequence) -> Config:
 
 
 def _with_known_scale(config: Config, sequence: Sequence) -> Config:
+    if _has_own_scale(outside_mode(config.mode)):
+        return config
     source = config.scale.source
     if source is ScaleSource.ORACLE and sequence.ground_truth is None:
         raise ConfigError(f"{sequence.name} has no ground truth for the scale source 'oracle'; choose another source")
@@ -82,23 +104,25 @@ def _with_known_scale(config: Config, sequence: Sequence) -> Config:
     return config
 
 
-def run_metadata(sequence: Sequence, config: Config) -> dict[str, Any]:
-    """The entries of run.json about sequence and mode."""
+def run_metadata(sequence: Sequence, config: Config, method: Plugin | None = None) -> dict[str, Any]:
+    """The entries of run.json about sequence and mode; arguments as for `run_sequence`."""
+    others = (method, find(sequence.format, (Kind.FORMAT,), ()))
     camera = sequence.camera
     return {
-        "mode": config.mode.value,
+        "mode": config.mode,
         "sequence": sequence.name,
         "format": sequence.format,
         "frames": len(sequence),
         "source": sequence.source,
         "camera": {"width": camera.width, "height": camera.height}
         | {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")},
-        "scale_source": config.scale.source.value,
+        "scale_source": OWN_SCALE if _has_own_scale(method or outside_mode(config.mode)) else config.scale.source.value,
         "ground": None if sequence.ground is None else sequence.ground.source,
         "down": None if sequence.ground is None else sequence.ground.normal,
         "gnss": None if sequence.gnss is None else sequence.gnss.source,
         "notes": list(sequence.notes),
         "seed": config.seed,
+        "plugins": [*config.origins, *(other.origin for other in others if other is not None)],
     }
 
 
@@ -110,3 +134,8 @@ def _with_enu_columns(result: FrameResult) -> FrameResult:
         variances = np.diag(rotation @ result.enu.covariance[3:, 3:] @ rotation.T)
         numbers = np.concatenate([result.enu.mean.translation(), np.sqrt(variances)])
     return replace(result, measures=dict(result.measures) | dict(zip(ENU_COLUMNS, numbers.tolist(), strict=True)))
+
+
+def _has_own_scale(outside: Plugin | None) -> bool:
+    """Whether the scale source of the settings does not hold: for estimators of other packages."""
+    return outside is not None and outside.kind is Kind.ESTIMATOR

@@ -22,7 +22,8 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.plots import STYLE
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.study.execution import execute_all
-from fvslam_graph.study.jobs import Job, Source
+from fvslam_graph.study.jobs import Job
+from fvslam_graph.study.sources import Source
 
 Rows = list[dict[str, Any]]
 

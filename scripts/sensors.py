@@ -20,7 +20,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.geodesy import LocalFrame
 from fvslam_graph.core.sensors import SensorSeries
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.estimator import frame_estimator
+from fvslam_graph.estimator import frame_estimator, through
 from fvslam_graph.sequences.altimeter import read_altimeter, with_altimeter
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.simulation.gnss import OUTLIER, PLACE, SimulatedReceiver, true_enu
@@ -63,9 +63,8 @@ def altimeter(
         sequence = with_altimeter(exact, _altimeter(exact, seed))
         truth = exact.ground_truth
         assert truth is not None
-        results = list(
-            frame_estimator(sequence, load_config(settings=["mode=graph", *settings.split()])).through(sequence)
-        )
+        config = load_config(settings=["mode=graph", *settings.split()])
+        results = list(through(frame_estimator(sequence, config), sequence))
         estimated = np.array([result.pose.mean.translation() for result in results])
         pairs = list(zip(truth.positions, estimated, strict=True))
         scales.append(1 / gtsam.Similarity3.Align(pairs).scale())
@@ -79,8 +78,9 @@ def _gnss_row(sequence: Sequence, receiver: SimulatedReceiver, seed: int) -> lis
     truth = sequence.ground_truth
     assert truth is not None
     fixes = receiver.fixes(sequence, seed)
-    estimator = frame_estimator(sequence.with_gnss(fixes), GRAPH)
-    results = list(estimator.through(sequence.with_gnss(fixes)))
+    sequence = sequence.with_gnss(fixes)
+    estimator = frame_estimator(sequence, GRAPH)
+    results = list(through(estimator, sequence))
     ending = estimator.finish()
     assert ending is not None and ending.smoothed is not None and ending.placement is not None
     earth, place = LocalFrame(PLACE), LocalFrame(ending.placement.origin)

@@ -9,9 +9,9 @@ import pytest
 
 import fvslam_graph
 from fvslam_graph.core.camera import Distortion
-from fvslam_graph.core.config import Mode
 from fvslam_graph.core.errors import ConfigError, EstimationError, FvslamError
 from fvslam_graph.core.geodesy import LocalFrame
+from fvslam_graph.core.modes import Mode
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.landmark_plots import plot_landmarks
@@ -174,7 +174,7 @@ def test_frames_handed_over_one_by_one_give_the_poses_of_a_run(flown, mode):
         assert np.array_equal(result.relative.covariance, run.relatives.covariances[index])
         assert (result.index, result.status) == (index, run.frames["status"][index])
     ending = estimator.finish()
-    assert (ending is None) == (mode is not Mode.GRAPH)
+    assert (ending is None) == (mode != Mode.GRAPH)
     if ending is not None:
         assert np.array_equal(ending.smoothed.matrices, run.smoothed.matrices)
 

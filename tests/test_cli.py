@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import yaml
 
+from fvslam_graph import pipeline
 from fvslam_graph.cli import app
 from fvslam_graph.core.files import file_name
-from fvslam_graph.estimator import FrameEstimator
 from fvslam_graph.evaluation import plots
 from fvslam_graph.runs.run_folder import read_run
 
@@ -107,13 +107,13 @@ def test_unreadable_images_are_skipped_and_counted(drive, tmp_path, fvslam):
 
 
 def test_an_interrupted_run_is_kept(drive, tmp_path, monkeypatch, fvslam):
-    def interrupted(self, sequence, through=FrameEstimator.through):
-        for result in through(self, sequence):
+    def interrupted(estimator, sequence, through=pipeline.through):
+        for result in through(estimator, sequence):
             if result.index == 4:
                 raise KeyboardInterrupt
             yield result
 
-    monkeypatch.setattr(FrameEstimator, "through", interrupted)
+    monkeypatch.setattr(pipeline, "through", interrupted)
     code, out, err = fvslam("run", drive, "--out", tmp_path / "run")
     assert (code, out, err) == (130, "", "")
     run = read_run(tmp_path / "run")
@@ -124,13 +124,13 @@ def test_an_interrupted_run_is_kept(drive, tmp_path, monkeypatch, fvslam):
 
 @pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_interrupts(drive, tmp_path, monkeypatch, fvslam, stop):
-    def signalled(self, sequence, through=FrameEstimator.through):
-        for result in through(self, sequence):
+    def signalled(estimator, sequence, through=pipeline.through):
+        for result in through(estimator, sequence):
             if result.index == 4:
                 signal.raise_signal(stop)
             yield result
 
-    monkeypatch.setattr(FrameEstimator, "through", signalled)
+    monkeypatch.setattr(pipeline, "through", signalled)
     assert fvslam("run", drive, "--out", tmp_path / "run") == (130, "", "")
     assert (read_run(tmp_path / "run").info["status"], len(read_run(tmp_path / "run").online)) == ("interrupted", 4)
 
@@ -141,7 +141,7 @@ def test_an_interrupt_while_a_library_is_loaded(drive, tmp_path, monkeypatch, fv
     def interrupted(self, sequence):
         raise ImportError("initialization failed") from KeyboardInterrupt()
 
-    monkeypatch.setattr(FrameEstimator, "through", interrupted)
+    monkeypatch.setattr(pipeline, "through", interrupted)
     assert fvslam("run", drive, "--out", tmp_path / "run") == (130, "", "")
 
 
@@ -289,7 +289,7 @@ def test_odometry_has_no_landmarks_to_show(fvslam, drive, tmp_path):
 def test_an_unknown_mode(fvslam, drive, tmp_path):
     outcome = fvslam("run", drive, "--mode", "slam", "--out", tmp_path / "run")
     assert outcome.code == 1
-    assert "'mode' cannot be 'slam'" in outcome.err and "'vo'" in outcome.err
+    assert "'mode' cannot be 'slam'" in outcome.err and "none of vo, vslam" in outcome.err
 
 
 def test_compare(fvslam, drive, tmp_path, undrawn):

@@ -10,7 +10,7 @@ import pytest
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.trajectory import Status
-from fvslam_graph.estimator import estimate, frame_estimator, stages
+from fvslam_graph.estimator import estimate, frame_estimator, stages, through
 from fvslam_graph.evaluation.monte_carlo import pose_errors, run
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.evaluation.runs import evaluate_run
@@ -227,7 +227,7 @@ def test_visual_slam_that_starts_from_odometry_is_consistent():
 @pytest.mark.parametrize("online", ["continuous", "latest"])
 def test_the_graph_at_every_fifth_frame(flown, online):
     estimator = frame_estimator(flown, load_config(settings=["mode=graph", f"graph.online={online}"]))
-    results = list(estimator.through(flown))
+    results = list(through(estimator, flown))
     ran = [result for result in results if result.slam is not None]
     assert np.all(np.diff([result.index for result in ran]) == 5)
     assert {result.status for result in results[1:]} == {Status.TRACKED}
@@ -301,7 +301,7 @@ def test_heights_that_are_exact_above_ground_that_is_not():
     assert flown.ground.height_sigma == 0
     config = load_config(settings=["mode=graph", "graph.heights=true"])
     estimator = frame_estimator(flown, config)
-    results = list(estimator.through(flown))
+    results = list(through(estimator, flown))
     assert len(results) == 12 and np.isfinite(results[-1].pose.covariance).all()
     assert estimator.finish().smoothed.path_length > 5
 

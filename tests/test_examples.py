@@ -8,7 +8,13 @@ import pytest
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 SMALL = "synthetic:uav?frames=12&size=320x240"
-ARGUMENTS = {"compare_modes": [SMALL], "grid_study": ["runs", 8, 1], "run_and_evaluate": [SMALL]}
+ARGUMENTS = {
+    "compare_modes": [SMALL],
+    "grid_study": ["runs", 8, 1],
+    "own_estimator": [SMALL, "runs"],
+    "own_rule": [SMALL, "runs"],
+    "run_and_evaluate": [SMALL],
+}
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
@@ -24,4 +30,4 @@ def test_it_runs(example, tmp_path, monkeypatch, capfd, undrawn):
 
 
 def test_there_are_some():
-    assert len(EXAMPLES) >= 4
+    assert len(EXAMPLES) >= 8

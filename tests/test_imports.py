@@ -20,7 +20,7 @@ ALLOWED = {
     "estimator": {"core", "vo", "slam", "fusion"},
     "runs": {"core"},
     "pipeline": {"core", "estimator", "runs"},
-    "evaluation": {"core", "sequences", "simulation", "vo", "slam", "estimator", "runs"},
+    "evaluation": {"core", "sequences", "simulation", "vo", "slam", "fusion", "estimator", "runs"},
     "study": {"core", "sequences", "pipeline", "runs", "evaluation"},
 }
 LOWER = set(ALLOWED)

@@ -1,6 +1,7 @@
 """The estimators on short parts of real recordings; skipped where they are absent."""
 
 from collections import Counter
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -23,7 +24,7 @@ def run(path, preset: str = "tuned", frames: str = ":", settings: tuple[str, ...
 
 def compare(sequence, results) -> Evaluation:
     online = Trajectory(sequence.stamps, tuple(result.pose.mean for result in results))
-    return evaluate(online, sequence.ground_truth, Alignment.SIM3, frames=len(sequence))
+    return replace(evaluate(online, sequence.ground_truth, Alignment.SIM3), frames=len(sequence))
 
 
 def rmse(evaluation: Evaluation, name: str) -> float:

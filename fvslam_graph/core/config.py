@@ -10,6 +10,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
 
 from fvslam_graph.core.errors import ConfigError
+from fvslam_graph.core.modes import Mode, ModeName, TrackerName, outside_mode, outside_tracker
+from fvslam_graph.core.plugins import Origin
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import parse_yaml, read_yaml_mapping
 
@@ -21,7 +23,7 @@ class _Group(BaseModel):
 class FeatureSettings(_Group):
     """Corners and their association."""
 
-    association: Literal["ncc", "klt"] = "klt"
+    association: TrackerName = "klt"  # klt, ncc, or a tracker of another package
     count: PositiveInt = Field(360, ge=8)  # corners per image, spread over a grid
     octave: int = Field(1, ge=0, le=3)  # corners are detected in the image halved so many times: less noise, less time
     threshold: PositiveInt = Field(7, le=255)  # FAST: grey levels between a corner and its surround
@@ -83,16 +85,6 @@ class ScaleSettings(_Group):
     def relative(self) -> bool:
         """Whether nothing tells metres, so that the first scale is a convention."""
         return self.source in (ScaleSource.MAP, ScaleSource.UNIT)
-
-
-class Mode(StrEnum):
-    """The estimator of the poses."""
-
-    VO = "vo"  # visual odometry alone
-    VSLAM = "vslam"  # EKF visual SLAM alone; visual odometry only starts it
-    AVERAGE = "average"  # the paper: both, fused by their weighted mean at every interleaved frame
-    INTERSECTION = "intersection"  # both, fused by covariance intersection
-    GRAPH = "graph"  # the measurements of both in one factor graph
 
 
 class SlamSettings(_Group):
@@ -163,7 +155,7 @@ class Config(_Group):
     """Everything that a run depends on, apart from the sequence."""
 
     preset: Literal["paper", "tuned"] = "tuned"  # which one the settings started from
-    mode: Mode = Mode.VO
+    mode: ModeName = Mode.VO.value
     seed: int = Field(0, ge=0)
     features: FeatureSettings = FeatureSettings()
     vo: VoSettings = VoSettings()
@@ -177,24 +169,30 @@ class Config(_Group):
         return self.model_copy(update={"scale": self.scale.model_copy(update={"source": ScaleSource.MAP})})
 
     @property
+    def origins(self) -> list[Origin]:
+        """Where the parts of other packages come from."""
+        found = (outside_mode(self.mode), outside_tracker(self.features.association))
+        return [plugin.origin for plugin in found if plugin is not None]
+
+    @property
     def interleave(self) -> int:
         """Every how many frames visual SLAM runs."""
-        return self.slam.interleave or (1 if self.mode is Mode.VSLAM else 5)
+        return self.slam.interleave or (1 if self.mode == Mode.VSLAM else 5)
 
     @property
     def odometry_is_prior(self) -> bool:
         """Whether visual odometry predicts the next frame of visual SLAM."""
-        return (self.slam.motion or ("constant_velocity" if self.mode is Mode.VSLAM else "odometry")) == "odometry"
+        return (self.slam.motion or ("constant_velocity" if self.mode == Mode.VSLAM else "odometry")) == "odometry"
 
     @property
     def tracks_excluded(self) -> bool:
         """Whether odometry does without tracks that are landmarks."""
-        return self.mode is Mode.GRAPH and self.graph.shared_pixels == "exclude"
+        return self.mode == Mode.GRAPH and self.graph.shared_pixels == "exclude"
 
     @property
     def needs_odometry(self) -> bool:
         """Whether visual odometry runs on every frame, and not only until visual SLAM has started."""
-        return self.mode is not Mode.VSLAM or self.odometry_is_prior or self.interleave > 1
+        return self.mode != Mode.VSLAM or self.odometry_is_prior or self.interleave > 1
 
 
 # The defaults above are `tuned`. `paper` is what the paper says: FAST corners matched as patterns between consecutive

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +88,7 @@ class FrameResult:
     status: Status
     previous: int
     relative: GaussianPose
-    measures: Mapping[str, float]
-    times: Mapping[str, float]
+    measures: Mapping[str, float] = field(default_factory=dict)
+    times: Mapping[str, float] = field(default_factory=dict)
     slam: SlamEstimate | None = None
     enu: GaussianPose | None = None

@@ -32,6 +32,11 @@ class GaussianPose:
         """The exact identity."""
         return cls(gtsam.Pose3(), np.zeros((6, 6)))
 
+    @classmethod
+    def without_covariance(cls, mean: gtsam.Pose3) -> Self:
+        """A pose of which nobody says how certain it is: its covariance is NaN."""
+        return cls(mean, np.full((6, 6), np.nan))
+
     def compose(self, step: GaussianPose) -> GaussianPose:
         """a_T_c of this a_T_b and an independent b_T_c; to first order."""
         adjoint = step.mean.inverse().AdjointMap()

@@ -54,7 +54,10 @@ def variances_along(axes: NDArray[np.float64], covariances: NDArray[np.float64])
 
 
 class FeatureTracker(Protocol):
-    """Finds the points of a keyframe again in later images."""
+    """Finds the points of a keyframe again in later images; that of another package is made with `FeatureSettings`.
+
+    Where a keyframe is lost, a shallow copy of its tracker is kept, so that no array may be changed in place.
+    """
 
     def track(self, image: Image) -> Tracks:
         """The points of the keyframe that are found in `image`, (H, W) uint8."""

@@ -116,7 +116,6 @@ def evaluate(
     reference: Trajectory,
     align: Alignment = Alignment.SE3,
     name: str = "estimate",
-    frames: int | None = None,
     relatives: Relatives | None = None,
     time_offset: float = 0.0,
 ) -> Evaluation:
@@ -131,7 +130,6 @@ def evaluate(
         reference: world_T_camera, in a world of its own; the stamps need not be the same.
         align: Where the motion does not determine an SE(3) or Sim(3) alignment, ORIGIN takes its place, with a note.
         name: Of the estimate, in evo's results.
-        frames: How many images there were.
         relatives: Motions between the poses of the estimate; NEES is over those that have a covariance.
         time_offset: Seconds, added to the stamps of the estimate to get those of the reference.
 
@@ -141,14 +139,7 @@ def evaluate(
     pairs = associate(estimate, reference, time_offset)
     _require_near("estimate", pairs.estimate)
     _require_near("reference", pairs.reference)
-    notes = [*estimate.notes, *reference.notes]
-    if time_offset:
-        notes.append(f"{time_offset:g} s are added to the stamps of the estimate")
-    apart = float(np.abs(pairs.estimate.stamps - pairs.reference.stamps).max())
-    if apart > SAME_INSTANT:
-        notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
-    if (matched := len(pairs.indices)) < MIN_MATCHED_SHARE * min(len(estimate), len(reference)):
-        notes.append(f"only {matched} of {len(estimate)} poses have a reference: do both have the same clock and rate?")
+    notes = _association_notes(estimate, reference, pairs, time_offset)
     scale = _scale(pairs)
     determined = not math.isnan(scale)
     if not determined and align in (Alignment.SE3, Alignment.SIM3):
@@ -158,17 +149,12 @@ def evaluate(
     errors = _errors(pairs, align, name)
     if "rpe_1m_trans" not in errors:
         notes.append("no relative pose error over 1 m: the path is shorter")
-
-    matrices = pairs.estimate.matrices
-    scaled = matrices.copy()
+    scaled = pairs.estimate.matrices.copy()
     scaled[:, :3, 3] *= scale
     if (length := pairs.reference.path_length) <= LENGTHS[0]:
         notes.append(f"no t_rel and r_rel: the path of {length:.1f} m is shorter than {LENGTHS[0]:.0f} m")
 
-    consistent = None
-    if relatives is not None:
-        pose_errors, covariances = relative_errors(pairs, relatives, scale if align is Alignment.SIM3 else 1.0)
-        consistent = consistency(pose_errors, covariances) if len(pose_errors) else None
+    consistent = _consistency(pairs, relatives, scale if align is Alignment.SIM3 else 1.0)
     if consistent is None:
         notes.append("no NEES: no relative motion has a covariance and a reference")
     return Evaluation(
@@ -176,15 +162,38 @@ def evaluate(
         alignment=align,
         pairs=pairs,
         poses=len(estimate),
-        frames=frames,
+        frames=None,
         scale=scale,
         ape_scaled=_ape_scaled(pairs, name) if determined else math.nan,
         errors=errors,
-        drift=drift(matrices, pairs.reference.matrices),
+        drift=drift(pairs.estimate.matrices, pairs.reference.matrices),
         drift_scaled=drift(scaled, pairs.reference.matrices),
         consistency=consistent,
         notes=tuple(notes),
     )
+
+
+def _consistency(pairs: TrajectoryPairs, relatives: Relatives | None, scale: float) -> Consistency | None:
+    """The NEES of relative motions; None where none has a covariance and a reference."""
+    if relatives is None:
+        return None
+    errors, covariances = relative_errors(pairs, relatives, scale)
+    return consistency(errors, covariances) if len(errors) else None
+
+
+def _association_notes(
+    estimate: Trajectory, reference: Trajectory, pairs: TrajectoryPairs, time_offset: float
+) -> list[str]:
+    """What was done or looks odd about files and stamps."""
+    notes = [*estimate.notes, *reference.notes]
+    if time_offset:
+        notes.append(f"{time_offset:g} s are added to the stamps of the estimate")
+    apart = float(np.abs(pairs.estimate.stamps - pairs.reference.stamps).max())
+    if apart > SAME_INSTANT:
+        notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
+    if (matched := len(pairs.indices)) < MIN_MATCHED_SHARE * min(len(estimate), len(reference)):
+        notes.append(f"only {matched} of {len(estimate)} poses have a reference: do both have the same clock and rate?")
+    return notes
 
 
 def _require_near(name: str, trajectory: Trajectory) -> None:

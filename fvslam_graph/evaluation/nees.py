@@ -23,7 +23,7 @@ class Consistency:
 
     Attributes:
         mean: Mean NEES.
-        low: Lower end of the band in which the mean of as many consistent estimates lies in 95 % of cases.
+        low: Lower end of the band in which the mean of as many consistent estimates lies, by default in 95 % of cases.
         high: Upper end of it.
         dof: Mean degrees of freedom, the expected NEES.
         count: How many estimates.
@@ -77,12 +77,12 @@ def average_nees(runs: NDArray[np.float64], dof: float = 6) -> tuple[NDArray[np.
     return runs.mean(axis=0), nees_band(dof, len(runs))
 
 
-def consistency(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> Consistency:
-    """Summary of the NEES of N > 0 pose errors (N, 6) with covariances (N, 6, 6)."""
+def consistency(errors: NDArray[np.float64], covariances: NDArray[np.float64], level: float = 0.95) -> Consistency:
+    """Summary of the NEES of N > 0 pose errors (N, 6) with covariances (N, 6, 6), and the band of this level."""
     from scipy.stats import chi2
 
     values, dof = nees(errors, covariances)
-    low, high = nees_band(float(dof.mean()), len(values))
+    low, high = nees_band(float(dof.mean()), len(values), level)
     below = np.mean(values <= chi2.ppf(0.95, dof))
     return Consistency(float(values.mean()), low, high, float(dof.mean()), len(values), float(below))
 

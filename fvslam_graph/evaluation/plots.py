@@ -94,14 +94,7 @@ def plot_runs(
     """
     import matplotlib
 
-    names = sorted({str(run.info.get("sequence")) for run in runs})
-    if len(names) > 1:
-        raise ResultsError(f"the runs are of different sequences, {', '.join(names)}; plot each sequence on its own")
-    for run in runs:
-        if len(run.online) < 2:
-            raise ResultsError(
-                f"{run.folder or run.name} holds too few poses to plot, {len(run.online)}; two are needed"
-            )
+    _require_drawable(runs)
     level = np.eye(4)
     down = runs[0].info.get("down")
     level[:3, :3] = level_axes(np.array((0.0, 1.0, 0.0) if down is None else down))
@@ -127,6 +120,17 @@ def plot_runs(
             drawings[name](figure, curves, truth)
             files += save(figure, out / f"plot_{name}", suffixes)
     return files
+
+
+def _require_drawable(runs: Sequence[Run]) -> None:
+    names = sorted({str(run.info.get("sequence")) for run in runs})
+    if len(names) > 1:
+        raise ResultsError(f"the runs are of different sequences, {', '.join(names)}; plot each sequence on its own")
+    for run in runs:
+        if len(run.online) < 2:
+            raise ResultsError(
+                f"{run.folder or run.name} holds too few poses to plot, {len(run.online)}; two are needed"
+            )
 
 
 def legible(name: str) -> str:

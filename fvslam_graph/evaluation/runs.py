@@ -71,7 +71,8 @@ def _of_run(run: Run, reference: Trajectory | None, align: Alignment, time_offse
     if relatives is not None:
         tracked = (run.frames["status"] == Status.TRACKED)[:, None, None]
         relatives = replace(relatives, covariances=np.where(tracked, relatives.covariances, np.nan))
-    evaluation = evaluate(run.online, truth, align, run.name, run.info.get("frames"), relatives, time_offset)
+    evaluation = evaluate(run.online, truth, align, run.name, relatives, time_offset)
+    evaluation = replace(evaluation, frames=run.info.get("frames"))
     if run.smoothed is None:
         return evaluation
     try:

@@ -9,8 +9,12 @@ import gtsam
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.outside import require_pose
 from fvslam_graph.core.trajectory import interpolate
+
+NEGATIVE = 1e-9  # of a variance (rad^2, m^2), by which rounding may make one negative
 
 
 class FusionRule(Protocol):
@@ -86,3 +90,28 @@ class Intersection:
         step = units * (covariance @ (weight * theirs @ apart))
         covariance = (covariance + covariance.T) / 2 * scale
         return GaussianPose(odometry.mean.compose(gtsam.Pose3.Expmap(step)), covariance)
+
+
+@dataclass(frozen=True)
+class OutsideRule:
+    """A rule of another package, whose results are checked.
+
+    Attributes:
+        name: For errors.
+        rule: It.
+    """
+
+    name: str
+    rule: FusionRule
+
+    def __call__(self, odometry: GaussianPose, slam: GaussianPose) -> GaussianPose:
+        """The fused motion.
+
+        Raises:
+            EstimationError: It is no pose with a covariance.
+        """
+        fused = self.rule(odometry, slam)
+        require_pose(self.name, fused, "of two motions")
+        if not np.isfinite(fused.covariance).all() or np.linalg.eigvalsh(fused.covariance)[0] < -NEGATIVE:
+            raise EstimationError(f"{self.name} returns a covariance that is not finite, or negative in a direction")
+        return fused

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -10,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from fvslam_graph.core.errors import SequenceError
+from fvslam_graph.core.plugins import Kind, find, names
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.sequences import bag, euroc, folder, karlsruhe, kitti_odometry, kitti_raw, tum_rgbd, video
 from fvslam_graph.sequences.ground import override_ground
@@ -33,7 +35,7 @@ class Format(Protocol):
         """Open it; raises an FvslamError."""
 
 
-# The first that matches is taken: special layouts before the plain folder.
+# The first that matches is taken: special layouts before the plain folder. Those of other packages come before all.
 FORMATS: tuple[Format, ...] = (kitti_odometry, kitti_raw, karlsruhe, euroc, tum_rgbd, folder, bag, video)
 
 
@@ -65,7 +67,7 @@ def open_sequence(
         fov: Degrees that the images of a video are wide, where it has no calibration, or instead of it.
         telemetry: What a drone recorded, `.srt` or `.csv`; beside a video, a file of the same name is found.
         telemetry_offset: Seconds to add to its times to have those since the first frame; estimated if not given.
-        format: Name of the format, instead of finding out.
+        format: Name of the format, or the path of one such as "mypkg:MyFormat", instead of finding out.
         topic: Image topic of a ROS bag, where it holds several.
 
     Raises:
@@ -133,36 +135,62 @@ def _with_telemetry(sequence: Sequence, path: str | Path, given: str | Path | No
 
 
 def _recorded(path: Path, wanted: str | None, topic: str | None, fov: float | None) -> Sequence:
+    formats = _formats() if wanted is None else _named(wanted)
     try:
         path = path.expanduser().absolute()
-        found = _find_format(path, wanted)
-        if topic is not None and found is not bag:
+        name, format = _find_format(path, formats)
+        if topic is not None and format is not bag:
             raise SequenceError(f"{path} is no bag, and has no topic '{topic}'")
-        if found is bag:
+        sequence: object
+        if format is bag:
             sequence = bag.read(path, topic)
-        elif found is video:
+        elif format is video:
             sequence = video.read(path, fov)
         else:
-            sequence = found.read(path)
+            sequence = format.read(path)
     except (OSError, RuntimeError) as error:  # a folder without permission, a disk that is gone, nobody's home
         raise SequenceError(f"{path} cannot be read: {error}") from None
+    if not isinstance(sequence, Sequence):
+        raise SequenceError(f"the format '{name}' makes an object of {type(sequence).__name__} of {path}, no Sequence")
     left_out = sequence.ground_truth.notes if sequence.ground_truth else ()
-    return replace(sequence, notes=sequence.notes + doubts(sequence.camera) + left_out)
+    return replace(sequence, format=name, notes=sequence.notes + doubts(sequence.camera) + left_out)
 
 
-def _find_format(path: Path, wanted: str | None) -> Format:
-    known = {module.FORMAT: module for module in FORMATS}
-    if wanted is not None and wanted not in known:
-        raise SequenceError(f"the format '{wanted}' is not one of {', '.join(known)}")
+def _formats() -> dict[str, Format]:
+    """All formats by their names."""
+    ours = {format.FORMAT: format for format in FORMATS}
+    added = {name: _added(name) for name in names(Kind.FORMAT)}
+    return {name: format for name, format in added.items() if format is not None} | ours
+
+
+def _named(name: str) -> dict[str, Format]:
+    """The one format of a name."""
+    added = _added(name)
+    known = _formats() if added is None else {name: added}
+    if name not in known:
+        raise SequenceError(f"the format '{name}' is not one of {', '.join(known)}")
+    return {name: known[name]}
+
+
+def _added(name: str) -> Format | None:
+    """The format of another package that is called so."""
+    plugin = find(name, (Kind.FORMAT,), [format.FORMAT for format in FORMATS])
+    if plugin is None:
+        return None
+    made: Format = plugin.make()
+    return made
+
+
+def _find_format(path: Path, formats: Mapping[str, Format]) -> tuple[str, Format]:
+    """The first format that matches, and its name."""
     if not path.exists():
         raise SequenceError(f"{path} does not exist")
     if path.is_dir() and not any(path.iterdir()):
         raise SequenceError(f"{path} is an empty folder")
-    candidates = FORMATS if wanted is None else (known[wanted],)
-    for module in candidates:
-        if module.matches(path):
-            return module
-    looked_for = "; ".join(f"{module.LAYOUT} ({module.FORMAT})" for module in candidates)
+    for name, format in formats.items():
+        if format.matches(path):
+            return name, format
+    looked_for = "; ".join(f"{format.LAYOUT} ({name})" for name, format in formats.items())
     kind = "folder" if path.is_dir() else "file"
     raise SequenceError(f"the {kind} {path} is no recording of a known format; looked for {looked_for}")
 

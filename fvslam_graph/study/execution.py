@@ -8,6 +8,7 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,8 @@ import cv2
 from fvslam_graph.core.errors import FvslamError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.runs.ownership import Kind, claimed, disown
-from fvslam_graph.study.jobs import Job, Row, Source, cached_row, execute, render
+from fvslam_graph.study.jobs import Job, Row, cached_row, execute
+from fvslam_graph.study.sources import HeldSequence, Source, render
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 # times as long.
 WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
 SCHEDULER_TIMEOUT = "20s"  # with a scheduler that may not be there
+
+_log = logging.getLogger(__name__)
 
 
 def execute_all(
@@ -55,16 +59,34 @@ def execute_all(
         except FvslamError as error:
             yield number, _failed(job, error)
             continue
-        if (row := cached_row(folder, align)) is None:
+        row = cached_row(folder, align) if job.is_reproducible else None
+        if row is None:
             pending[number] = folder
         else:
             yield number, row
     images = runs / "rendered"
-    workers = min(workers or os.cpu_count() or 1, len(pending))
-    if pending and (scheduler is not None or workers > 1):
-        yield from _distributed(jobs, pending, align, images, workers, scheduler)
-    elif pending:
+    held = {number: reason for number in pending if (reason := _bound_to_this_process(jobs[number])) is not None}
+    for reason in dict.fromkeys(held.values()):
+        _log.warning(reason)
+    sent = {number: folder for number, folder in pending.items() if number not in held}
+    workers = min(workers or os.cpu_count() or 1, len(sent))
+    if sent and (scheduler is not None or workers > 1):
+        yield from _distributed(jobs, sent, align, images, workers, scheduler)
+        pending = {number: pending[number] for number in held}
+    if pending:
         yield from _one_by_one(jobs, pending, align, images)
+
+
+def _bound_to_this_process(job: Job) -> str | None:
+    """Why no other process can do it; None where one can."""
+    mode = job.config.mode
+    if not job.is_reproducible:
+        return f"{mode} cannot be imported by its name: it runs in this process, and each time anew"
+    if mode.startswith("__main__:"):
+        return f"{mode} is in a script, which other processes do not import: it runs in this process"
+    if not job.source.can_be_sent:
+        return f"{job.source.label} is too large to be written for other processes: it is run in this process"
+    return None
 
 
 def _one_by_one(
@@ -106,12 +128,17 @@ def _distributed(
             client = stack.enter_context(_connected(scheduler))
         stack.enter_context(_kept_for_now(images))
         sources = dict.fromkeys(jobs[number].source for number in pending)
-        rendered = {source: client.submit(render, source, images.absolute(), pure=False) for source in sources}
+        rendered = {
+            source: render(source, images.absolute())
+            if isinstance(source, HeldSequence)
+            else client.submit(render, source, images.absolute(), pure=False)
+            for source in sources
+        }
         # In the order of the jobs, so that a worker stays with a recording that it has opened.
         numbers = {
             client.submit(
                 _on_worker,
-                jobs[number],
+                _light(jobs[number]),
                 folder.absolute(),
                 align,
                 rendered[jobs[number].source],
@@ -123,6 +150,11 @@ def _distributed(
         for future in as_completed(numbers):
             number, error = numbers[future], future.exception()  # of a worker that died, above all
             yield number, future.result() if error is None else _failed(jobs[number], error)
+
+
+def _light(job: Job) -> Job:
+    """What is sent of a job: images in memory are in a file by then."""
+    return replace(job, source=job.source.without_images()) if isinstance(job.source, HeldSequence) else job
 
 
 def _connected(scheduler: str) -> Client:

@@ -4,69 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 
-import fvslam_graph
 from fvslam_graph.core.config import Config
 from fvslam_graph.core.errors import FvslamError, ResultsError
-from fvslam_graph.core.files import MAX_NAME_LENGTH, file_name, replacing, write_json, writing
-from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.files import MAX_NAME_LENGTH, write_json, writing
+from fvslam_graph.core.plugins import Plugin, source_hash
 from fvslam_graph.core.text_files import read_text
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.pipeline import run_sequence
-from fvslam_graph.runs.ownership import Kind, claimed, kind_of
+from fvslam_graph.runs.ownership import Kind, claimed
 from fvslam_graph.runs.provenance import forget_peak_memory, provenance
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
-from fvslam_graph.sequences.open import open_sequence
-
-MAX_RENDERED_SIZE = 2e9  # bytes of rendered images
+from fvslam_graph.study.sources import Source, fingerprint, opened
 
 Row = dict[str, Any]
 """One run as numbers and words, by column; see `row_of`."""
-
-
-class Source(BaseModel):
-    """A recording or a synthetic world, as `open_sequence` takes it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    path: str
-    name: str | None = None  # in tables; the sequence's own, if not given
-    frames: str | None = None
-    stride: PositiveInt = 1
-    scale: float = Field(1.0, gt=0, le=1)
-    camera_height: PositiveFloat | None = None
-    camera_pitch: float | None = None
-    camera_k1: float | None = None
-    topic: str | None = None
-    fov: float | None = None
-    telemetry: str | None = None
-    telemetry_offset: float | None = None
-
-    @property
-    def label(self) -> str:
-        """The name in tables, also where the recording cannot be opened."""
-        return self.name or (self.path if self.path.startswith("synthetic:") else Path(self.path).absolute().name)
-
-    def open(self) -> Sequence:
-        """The sequence; raises as `open_sequence` does."""
-        options = self.model_dump(exclude={"name"})
-        if not self.path.startswith("synthetic:"):
-            options["path"] = str(Path(self.path).expanduser().absolute())
-        return replace(open_sequence(**options), name=self.label)
 
 
 @dataclass(frozen=True)
@@ -77,11 +39,18 @@ class Job:
         source: What it runs on.
         config: All settings, the mode and the seed among them.
         variant: What sets it apart from other runs of the same mode, in words; "" where nothing does.
+        method: A function of a sequence and a seed, which runs in place of the mode; this is its name then.
     """
 
     source: Source
     config: Config
     variant: str = ""
+    method: Plugin | None = None
+
+    @property
+    def is_reproducible(self) -> bool:
+        """Whether its hash tells all that numbers depend on, and another process can do it."""
+        return self.method is None or self.method.origin["source"] is not None
 
     def folder(self, runs: Path) -> Path:
         """Where it is kept below `runs`: the name ends with a hash of input, settings and version.
@@ -89,7 +58,8 @@ class Job:
         Raises:
             FvslamError: The source cannot be opened.
         """
-        depends_on = [self.source.label, _fingerprint(self.source), _code(), self.config.model_dump_json()]
+        depends_on: list[Any] = [self.source.label, fingerprint(self.source), _code(), self.config.model_dump_json()]
+        depends_on += [self.config.origins, self.method and self.method.origin]
         digest = hashlib.blake2b(json.dumps(depends_on).encode(), digest_size=8).hexdigest()
         parts = (self.source.label, self.config.mode, self.config.preset, self.variant, self.config.seed)
         slug = re.sub(r"[^a-zA-Z0-9.]+", "-", "-".join(str(part) for part in parts if part != ""))
@@ -99,35 +69,11 @@ class Job:
         """The columns that say which run a row is."""
         return {
             "sequence": self.source.label,
-            "mode": self.config.mode.value,
+            "mode": self.config.mode,
             "preset": self.config.preset,
             "variant": self.variant,
             "seed": self.config.seed,
         }
-
-
-def render(source: Source, folder: Path) -> Path | None:
-    """Render the images of a synthetic world into a file, since that takes longer than a run on them.
-
-    Returns:
-        The file; None for recordings, and for worlds that there is no room to keep.
-    """
-    sequence = source.open()
-    size = (len(sequence), sequence.camera.height, sequence.camera.width)
-    if not source.path.startswith("synthetic:") or np.prod(size) > MAX_RENDERED_SIZE:
-        return None
-    file = folder / f"{file_name(source.label)}.npz"
-    try:
-        images, usable = np.zeros(size, np.uint8), np.zeros(len(sequence), bool)
-        for index in range(len(sequence)):
-            image = sequence.load(index)
-            if image is not None:
-                images[index], usable[index] = image, True
-        with replacing(file) as path:
-            np.savez(path, images=images, usable=usable)
-    except (OSError, ValueError, MemoryError):  # no room; zipfile complains of its own handle, too
-        return None
-    return file
 
 
 def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = None) -> Row:
@@ -143,12 +89,12 @@ def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = No
         FvslamError: The source cannot be opened or the folder not written.
     """
     with claimed(folder, Kind.RUN, wait=True):  # of a study that was killed, a worker may still be at it
-        if (row := cached_row(folder, align)) is not None:
+        if job.is_reproducible and (row := cached_row(folder, align)) is not None:
             return row
-        if not _finished(folder):
-            sequence = _opened(job.source, rendered)
+        if not (job.is_reproducible and _finished(folder)):
+            sequence = opened(job.source, rendered)
             forget_peak_memory()
-            run_sequence(sequence, job.config, folder)
+            run_sequence(sequence, job.config, folder, method=job.method)
         run = read_run(folder)
         evaluation = evaluate_run(folder, align=align) if run.ground_truth is not None else None
         row = job.labels() | row_of(run, evaluation) | {"folder": folder.name}
@@ -254,47 +200,6 @@ def _finished(folder: Path) -> bool:
         return False
 
 
-@lru_cache(maxsize=1)  # jobs come sequence by sequence
-def _opened(source: Source, rendered: Path | None) -> Sequence:
-    sequence = source.open()
-    if rendered is None:
-        return sequence
-    with np.load(rendered) as file:
-        images, usable = file["images"], file["usable"]
-    return replace(sequence, load=lambda index: images[index] if usable[index] else None)
-
-
-@cache
-def _fingerprint(source: Source) -> list[Any]:
-    """The parts of a recording that numbers depend on: what is known of it, and size and time of each file."""
-    sequence = source.open()
-    truth = sequence.ground_truth
-    known = [sequence.stamps, sequence.camera, sequence.ground and sequence.ground.heights, sequence.ground]
-    known += [] if truth is None else [truth.stamps, truth.matrices]
-    digest = hashlib.blake2b(digest_size=16)
-    for fact in known:
-        digest.update(fact.tobytes() if isinstance(fact, np.ndarray) else repr(fact).encode())
-    path = Path(source.path).expanduser()
-    for file in sorted(_files(path)):
-        stat = file.stat()
-        digest.update(f"{file.relative_to(path)} {stat.st_size} {stat.st_mtime_ns}\n".encode())
-    return [source.model_dump(exclude={"name"}), digest.hexdigest()]
-
-
-def _files(path: Path) -> Iterator[Path]:
-    """A file, or all files of a folder but those that we have written into it, which are no part of the recording."""
-    if path.is_file():
-        yield path
-    for folder, inner, names in os.walk(path):
-        inner[:] = [name for name in inner if kind_of(Path(folder, name)) is None]
-        yield from (file for name in names if (file := Path(folder, name)).is_file())
-
-
-@cache
 def _code() -> list[Any]:
     """The version of everything that computes: libraries by their number, this package by its source."""
-    root = Path(fvslam_graph.__file__).parent
-    digest = hashlib.blake2b(digest_size=16)
-    for file in sorted(root.rglob("*.py")):
-        digest.update(file.read_bytes())
-    return [digest.hexdigest(), provenance()["versions"]]
+    return [source_hash("fvslam_graph"), provenance()["versions"]]

@@ -6,17 +6,32 @@ import itertools
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypedDict, Unpack
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    ValidationError,
+    model_validator,
+)
 
-from fvslam_graph.core.config import Mode, load_config
+from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import ConfigError, StudyError
 from fvslam_graph.core.files import file_name
+from fvslam_graph.core.modes import MODES, known_mode
+from fvslam_graph.core.outside import Method
+from fvslam_graph.core.plugins import Plugin, of_method
+from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.jobs import Job, Source
+from fvslam_graph.study.jobs import Job
+from fvslam_graph.study.sources import HeldSequence, Source
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -27,9 +42,36 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _sources(values: Any) -> Any:
     """A sequence of which only the path is given may be written as that path."""
-    if not isinstance(values, list):
+    if not isinstance(values, list | tuple):
         return values
-    return [{"path": value} if isinstance(value, str) else value for value in values]
+    return [_source(value) for value in values]
+
+
+def _source(value: Any) -> Any:
+    if isinstance(value, Sequence):
+        return HeldSequence.of(value)
+    return {"path": value} if isinstance(value, str) else value
+
+
+def _mode(value: Any) -> str | Plugin:
+    """A name, or what a function is called."""
+    if isinstance(value, Plugin):
+        return value
+    if isinstance(value, str):
+        return known_mode(str(value))
+    return _method(getattr(value, "__name__", type(value).__name__), value)
+
+
+def _method(name: str, function: Method) -> Plugin:
+    """A function as a mode."""
+    if name in MODES or ":" in name:
+        raise ConfigError(f"a function cannot be called '{name}', which is a mode; give it another name")
+    return of_method(name, function)
+
+
+def _distinct_modes(modes: tuple[str | Plugin, ...]) -> tuple[str | Plugin, ...]:
+    _distinct(tuple(map(str, modes)))
+    return modes
 
 
 def _distinct_names(sources: tuple[Source, ...]) -> tuple[Source, ...]:
@@ -48,8 +90,9 @@ class Study(BaseModel):
 
     Attributes:
         name: Title of the report.
-        sequences: Paths, or groups of what `Source` has: path, name, frames, stride, scale, camera_height, topic, ...
-        modes: Of the estimator.
+        sequences: Paths, or groups of what `Source` has: path, name, frames, stride, scale, camera_height, topic, ...;
+            in Python also `Sequence`s.
+        modes: Of the estimator; in Python also functions of a sequence and a seed, see `core.outside.Method`.
         presets: "paper", "tuned" or both.
         settings: Values to try by setting, such as {"fusion.weight": [0.3, 0.5]}; a single value holds for all runs.
         seeds: How many, or which.
@@ -64,7 +107,11 @@ class Study(BaseModel):
     sequences: Annotated[
         tuple[Source, ...], BeforeValidator(_sources), AfterValidator(_distinct_names), Field(min_length=1)
     ]
-    modes: Annotated[tuple[Mode, ...], AfterValidator(_distinct), Field(min_length=1)] = tuple(Mode)
+    modes: Annotated[
+        tuple[Annotated[Any, PlainValidator(_mode), PlainSerializer(str)], ...],
+        AfterValidator(_distinct_modes),
+        Field(min_length=1),
+    ] = MODES
     presets: Annotated[tuple[Literal["paper", "tuned"], ...], AfterValidator(_distinct), Field(min_length=1)] = (
         "tuned",
     )
@@ -90,18 +137,13 @@ class Study(BaseModel):
         """The same study where its relative paths are those of this folder: absolute, they mean the same anywhere."""
 
         def absolute(path: str) -> str:
-            return path if path.startswith("synthetic:") else str(folder.absolute() / Path(path).expanduser())
+            return str(folder.absolute() / Path(path).expanduser())
 
-        sequences = tuple(
-            source.model_copy(
-                update={"path": absolute(source.path), "telemetry": source.telemetry and absolute(source.telemetry)}
-            )
-            for source in self.sequences
-        )
         external = {
             sequence: {name: absolute(path) for name, path in files.items()}
             for sequence, files in self.external.items()
         }
+        sequences = tuple(source.below(folder) for source in self.sequences)
         return self.model_copy(update={"sequences": sequences, "external": external})
 
     def jobs(self) -> list[Job]:
@@ -117,11 +159,7 @@ class Study(BaseModel):
             if isinstance(values, list)
         ]
         return [
-            Job(
-                source,
-                load_config(preset, settings=[f"mode={mode}", f"seed={seed}", *fixed, *variant]),
-                ", ".join(variant),
-            )
+            _job(source, mode, preset, [f"seed={seed}", *fixed, *variant], ", ".join(variant))
             for source, preset, variant, mode, seed in itertools.product(
                 self.sequences, self.presets, itertools.product(*varied), self.modes, self.seeds
             )
@@ -146,33 +184,46 @@ def load_study(file: Path) -> Study:
     return study.below(file.parent)
 
 
+class ComparisonOptions(TypedDict, total=False):
+    """What a comparison may be told besides its sequence, modes and seeds; see `fvslam_graph.compare`."""
+
+    preset: str
+    settings: Mapping[str, Any] | None
+    external: Mapping[str, str | Path | Method] | None
+    align: str
+
+
 def comparison(
-    sequence: str | Path | Source,
-    modes: Iterable[str],
+    sequence: Sequence | Source | str | Path,
+    modes: Iterable[str | Method],
     seeds: int | Iterable[int],
-    preset: str,
-    settings: Mapping[str, Any] | None,
-    external: Mapping[str, str | Path] | None,
-    align: str,
+    **options: Unpack[ComparisonOptions],
 ) -> Study:
     """The study of one sequence; the arguments are those of `fvslam_graph.compare`.
 
     Raises:
         StudyError: A value is not possible.
-        ConfigError: A setting is unknown or out of its range.
+        ConfigError: A setting is unknown or out of its range, or a function cannot be called as one has to be.
     """
+    if unknown := set(options) - set(ComparisonOptions.__annotations__):
+        raise TypeError(f"a comparison has no argument {', '.join(sorted(unknown))}")
+    if isinstance(sequence, Sequence):
+        sequence = HeldSequence.of(sequence)
+    source = sequence if isinstance(sequence, Source) else Source(path=str(sequence))
+    external = options.get("external") or {}
+    files = {name: str(file) for name, file in external.items() if isinstance(file, str | Path)}
+    methods = [_method(name, what) for name, what in external.items() if not isinstance(what, str | Path)]
     try:
-        source = sequence if isinstance(sequence, Source) else Source(path=str(sequence))
         study = Study.model_validate(
             {
                 "name": f"Comparison on {source.label}",
                 "sequences": [source],
-                "modes": list(modes),
-                "presets": [preset],
-                "settings": dict(settings or {}),
+                "modes": [*modes, *methods],
+                "presets": [options.get("preset", "tuned")],
+                "settings": dict(options.get("settings") or {}),
                 "seeds": seeds if isinstance(seeds, int) else list(seeds),
-                "align": align,
-                "external": {source.label: {name: str(file) for name, file in external.items()}} if external else {},
+                "align": options.get("align", Alignment.SIM3),
+                "external": {source.label: files} if files else {},
             }
         )
     except ValidationError as error:
@@ -184,6 +235,13 @@ def comparison(
 def default_folder(study: Study) -> Path:
     """Where a study is kept if nothing else is said."""
     return Path("runs") / file_name(study.name.lower())
+
+
+def _job(source: Source, mode: str | Plugin, preset: str, settings: list[str], variant: str) -> Job:
+    if isinstance(mode, str):
+        return Job(source, load_config(preset, settings=[f"mode={mode}", *settings]), variant)
+    config = load_config(preset, settings=settings)
+    return Job(source, config.model_copy(update={"mode": mode.name}), variant, mode)
 
 
 def _setting(name: str, value: Any) -> str:

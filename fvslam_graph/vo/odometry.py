@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.core.config import Config, ScaleSource
+from fvslam_graph.core.config import Config, FeatureSettings, ScaleSource
 from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale, ScaledPose
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
+from fvslam_graph.core.modes import outside_tracker
 from fvslam_graph.core.quick import median
 from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.stopwatch import Stopwatch
@@ -68,6 +69,14 @@ class _Motion:
     evidence: CalibrationEvidence | None = None
 
 
+def _tracker(settings: FeatureSettings) -> FeatureTracker:
+    """What the settings say."""
+    if (outside := outside_tracker(settings.association)) is not None:
+        made: FeatureTracker = outside.make(settings)
+        return made
+    return KltTracker(settings) if settings.association == "klt" else NccMatcher(settings)
+
+
 class VisualOdometry:
     """Monocular visual odometry against a keyframe.
 
@@ -94,9 +103,7 @@ class VisualOdometry:
         self.settings = config.vo
         self._rng = np.random.default_rng(config.seed)
         self._features = config.features
-        self._tracker: FeatureTracker = tracker or (
-            KltTracker(config.features) if config.features.association == "klt" else NccMatcher(config.features)
-        )
+        self._tracker = tracker or _tracker(config.features)
         self._down = None if ground is None else ground.normal
         aligner = None
         if config.scale.source is ScaleSource.PLANE and ground is not None:

@@ -100,14 +100,7 @@ def reprojection_errors(
     J_pose[:, 0] = camera.fx * np.stack([x * y, -(1 + x * x), y, -near, zero, near * x], axis=1)
     J_pose[:, 1] = camera.fy * np.stack([1 + y * y, -x * y, -x, zero, -near, near * y], axis=1)
 
-    # Both rays of a track change by -(x, y) and -(x^2 + y^2) (x, y).
-    seen, there = rays[:, :2], (tracks.current - centre) / focal
-    J_calibration = np.empty((len(x), 2, 2))
-    for column, (first, second) in enumerate(
-        ((-seen, -there), (-(seen**2).sum(axis=1)[:, None] * seen, -(there**2).sum(axis=1)[:, None] * there))
-    ):
-        change = first @ R[:2]
-        J_calibration[:, :, column] = focal * ((change[:, :2] - xy * change[:, 2:]) / depth[:, None] - second)
+    J_calibration = _calibration_jacobian(rays[:, :2], (tracks.current - centre) / focal, R, (xy, depth), focal)
 
     speed = np.linalg.norm(line, axis=1)
     along = np.where(speed[:, None] > 1e-6, line, [1.0, 0.0]) / np.where(speed > 1e-6, speed, 1.0)[:, None]
@@ -125,3 +118,24 @@ def reprojection_errors(
     values = (white @ error[:, :, None])[:, :, 0]
     ahead = likeliest * speed > -AGREES * noise
     return ReprojectionErrors(values, white @ J_pose, white @ J_calibration, J_common, S[:, 0, 0] < 2, ahead)
+
+
+def _calibration_jacobian(seen: Array, there: Array, R: Array, expected: tuple[Array, Array], focal: Array) -> Array:
+    """(N, 2, 2) how errors in the image, pixels, change with the logarithm of the focal length and with k1.
+
+    Args:
+        seen: (N, 2) normalised coordinates in the keyframe,
+        there: and where the points are found now.
+        R: Rotation of the current camera in the keyframe.
+        expected: (N, 2) normalised coordinates and (N,) depths where they are expected.
+        focal: (2,) pixels.
+    """
+    xy, depth = expected
+    # Both rays of a track change by -(x, y) and -(x^2 + y^2) (x, y).
+    J_calibration = np.empty((len(xy), 2, 2))
+    for column, (first, second) in enumerate(
+        ((-seen, -there), (-(seen**2).sum(axis=1)[:, None] * seen, -(there**2).sum(axis=1)[:, None] * there))
+    ):
+        change = first @ R[:2]
+        J_calibration[:, :, column] = focal * ((change[:, :2] - xy * change[:, 2:]) / depth[:, None] - second)
+    return J_calibration

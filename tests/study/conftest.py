@@ -3,7 +3,8 @@
 import pytest
 
 from fvslam_graph.core.config import load_config
-from fvslam_graph.study.jobs import Job, Source
+from fvslam_graph.study.jobs import Job
+from fvslam_graph.study.sources import Source
 
 SHORT = "synthetic:uav?frames=12&size=320x240"
 

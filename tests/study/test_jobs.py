@@ -12,6 +12,7 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study import jobs as job_module
 from fvslam_graph.study.jobs import cached_row, execute
+from fvslam_graph.study.sources import fingerprint
 
 SIM3 = Alignment.SIM3
 
@@ -66,7 +67,7 @@ def test_the_folder_depends_on_input_settings_and_version(job, drive, tmp_path, 
     assert len({first, *(one.folder(tmp_path) for one in others)}) == 6
 
     os.utime(recording / "images" / "03.png", ns=(1, 1))
-    job_module._fingerprint.cache_clear()
+    fingerprint.cache_clear()
     changed = job(path=str(recording)).folder(tmp_path)
     assert changed != first
     monkeypatch.setattr(job_module, "_code", lambda: ["another version"])

@@ -17,8 +17,8 @@ from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study import jobs as job_module
 from fvslam_graph.study import run as module
 from fvslam_graph.study.execution import execute_all
-from fvslam_graph.study.jobs import Source, render
 from fvslam_graph.study.run import run_study
+from fvslam_graph.study.sources import Source, fingerprint, render
 from fvslam_graph.study.spec import Study, comparison, default_folder, load_study
 
 TINY = "synthetic:uav?frames=12&size=160x120"
@@ -71,8 +71,8 @@ def test_a_study_in_a_folder_within_the_recording_is_gone_on_with(drive, tmp_pat
     monkeypatch.chdir(recording)
     tables = []
     for _ in range(2):
-        job_module._fingerprint.cache_clear()
-        run_study(comparison(".", ["vo"], 1, "tuned", None, None, "sim3"), Path("runs") / "cmp", 1)
+        fingerprint.cache_clear()
+        run_study(comparison(".", ["vo"], 1), Path("runs") / "cmp", 1)
         tables.append((recording / "runs" / "cmp" / "results.csv").read_bytes())
     assert tables[0] == tables[1] and b"recording" in tables[0]
     assert len(list((recording / "runs" / "cmp" / "runs").iterdir())) == 1
@@ -95,7 +95,7 @@ def test_two_studies_at_once(tmp_path, unplotted):
 def test_a_declaration_means_the_same_wherever_it_is_read(drive, tmp_path, monkeypatch, unplotted):
     shutil.copytree(drive, tmp_path / "recording")
     monkeypatch.chdir(tmp_path)
-    declared = comparison("recording", ["vo"], 1, "tuned", None, {"own": "recording/groundtruth.tum"}, "sim3")
+    declared = comparison("recording", ["vo"], 1, external={"own": "recording/groundtruth.tum"})
     run_study(declared, Path("cmp"), 1)
     before = (tmp_path / "cmp" / "results.csv").read_bytes()
     (tmp_path / "elsewhere").mkdir()
@@ -114,7 +114,7 @@ def test_results_are_not_replaced_by_failures(drive, tmp_path, unplotted):
     run_study(declared, tmp_path / "out", 1)
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()}
     recording.rename(tmp_path / "unplugged")
-    job_module._fingerprint.cache_clear()
+    fingerprint.cache_clear()
     with pytest.raises(StudyError, match=r"1 of 1 runs fail that .* \(vo on recording: failed: .*exist"):
         run_study(declared, tmp_path / "out", 1)
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()} == before
@@ -159,7 +159,7 @@ def test_images_that_there_is_no_room_for_are_rendered_as_needed(tmp_path, monke
     def full(*arguments, **named):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(job_module.np, "savez", full)
+    monkeypatch.setattr(np, "savez", full)
     assert render(Source(path=TINY), tmp_path) is None
     assert list(tmp_path.iterdir()) == []
 
@@ -199,18 +199,18 @@ def test_a_study_that_was_stopped_and_gone_on_with_equals_an_undisturbed_one(
     script = f"""
 import os, signal
 from fvslam_graph import cli
-from fvslam_graph.estimator import FrameEstimator
+from fvslam_graph import pipeline
 from fvslam_graph.study import run
 run.draw_study = run._draw_trajectories = lambda *arguments: []
 begun = 0
-def stopped(self, sequence, through=FrameEstimator.through):
+def stopped(estimator, sequence, through=pipeline.through):
     global begun
     begun += 1
-    for result in through(self, sequence):
+    for result in through(estimator, sequence):
         if (begun, result.index) == ({runs}, 5):
             os.kill(os.getpid(), {int(stop)})
         yield result
-FrameEstimator.through = stopped
+pipeline.through = stopped
 import sys
 sys.argv = ["fvslam", "study", "study.yaml", "--out", "out", "--workers", "1"]
 cli.main()

@@ -2,8 +2,8 @@
 
 import pytest
 
-from fvslam_graph.core.config import Mode
 from fvslam_graph.core.errors import ConfigError, StudyError
+from fvslam_graph.core.modes import Mode
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study.spec import Study, comparison, load_study
 
@@ -88,11 +88,13 @@ def test_a_file_that_is_not_there(tmp_path):
 
 
 def test_a_comparison():
-    study = comparison("data/a", ["vo"], 2, "paper", {"vo.min_inliers": 30}, {"DSO": "dso.tum"}, "se3")
+    study = comparison(
+        "data/a", ["vo"], 2, preset="paper", settings={"vo.min_inliers": 30}, external={"DSO": "dso.tum"}, align="se3"
+    )
     (first, second) = study.jobs()
     assert (first.config.preset, first.config.vo.min_inliers, second.config.seed) == ("paper", 30, 1)
     assert (study.name, study.external) == ("Comparison on a", {"a": {"DSO": "dso.tum"}})
     with pytest.raises(ConfigError, match="there is no setting"):
-        comparison("a", ["vo"], 1, "tuned", {"vo.nothing": 1}, None, "se3")
+        comparison("a", ["vo"], 1, settings={"vo.nothing": 1})
     with pytest.raises(StudyError, match=r"'modes\.0' cannot be 'fast'"):
-        comparison("a", ["fast"], 1, "tuned", None, None, "se3")
+        comparison("a", ["fast"], 1)
