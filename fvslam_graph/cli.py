@@ -269,6 +269,7 @@ def demo(
 ) -> None:
     """Fly a small UAV over generated terrain, estimate its motion in all modes, and compare."""
     from fvslam_graph.core.config import Mode, load_config
+    from fvslam_graph.core.extras import require
     from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.evaluation.report import runs_table
@@ -276,6 +277,7 @@ def demo(
     from fvslam_graph.runs.run_folder import read_run
     from fvslam_graph.sequences.open import open_sequence
 
+    require("eval")
     sequence = open_sequence(f"synthetic:uav?frames={frames}")
     sequence = replace(sequence, load=cache(sequence.load))  # rendering an image takes longer than using it
     folders = []

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import ResultsError
-from fvslam_graph.core.extras import extra
+from fvslam_graph.core.extras import require
 from fvslam_graph.core.sensors import SensorSeries
 from fvslam_graph.core.trajectory import Trajectory
 
@@ -103,8 +103,9 @@ class Georeference:
         Raises:
             FvslamError: pymap3d is not installed.
         """
-        with extra("geo"):
-            import pymap3d
+        require("geo")
+        import pymap3d
+
         return np.column_stack(pymap3d.enu2geodetic(*self.enu(points).T, *self.origin))
 
     def covariances(self, covariances: Array) -> Array:
@@ -113,8 +114,9 @@ class Georeference:
 
 
 def _to_enu(places: Array, origin: Array) -> Array:
-    with extra("geo"):
-        import pymap3d
+    require("geo")
+    import pymap3d
+
     return np.column_stack(pymap3d.geodetic2enu(*places.T, *origin))
 
 
