@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera, Distortion, Rectifier
-from fvslam_graph.core.config import Config, Mode, ScaleSource, load_config
+from fvslam_graph.core.choices import Mode, ScaleSource
+from fvslam_graph.core.config import Config, load_config
 from fvslam_graph.core.errors import ConfigError, EstimationError
 from fvslam_graph.core.frame_result import Ending, FrameResult
 from fvslam_graph.core.sequence import Frame, Ground, Sequence

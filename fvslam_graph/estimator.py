@@ -10,7 +10,8 @@ from functools import partial
 import numpy as np
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.core.config import Config, Mode, ScaleSource
+from fvslam_graph.core.choices import Mode, ScaleSource
+from fvslam_graph.core.config import Config
 from fvslam_graph.core.frame_result import Ending, FrameResult
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE
 from fvslam_graph.core.known_points import KnownPoints

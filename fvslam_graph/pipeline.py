@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from fvslam_graph.core.config import Config, ScaleSource
+from fvslam_graph.core.choices import ScaleSource
+from fvslam_graph.core.config import Config
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.core.sensors import SensorKind

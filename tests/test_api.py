@@ -9,7 +9,7 @@ import pytest
 
 import fvslam_graph
 from fvslam_graph.core.camera import Distortion
-from fvslam_graph.core.config import Mode
+from fvslam_graph.core.choices import Mode
 from fvslam_graph.core.errors import ConfigError, EstimationError, FvslamError
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.trajectory import Status, Trajectory

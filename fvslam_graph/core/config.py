@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
 
+from fvslam_graph.core.choices import Mode, Preset, ScaleSource
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import parse_yaml, read_yaml_mapping
@@ -50,15 +50,6 @@ class VoSettings(_Group):
     calibrate: bool = True  # a calibration that is grossly wrong is corrected
 
 
-class ScaleSource(StrEnum):
-    """Where metres come from."""
-
-    PLANE = "plane"  # known distance to the ground plane
-    MAP = "map"  # relative: tracks that two consecutive pairs have in common; the first scale is a guess
-    ORACLE = "oracle"  # the ground truth
-    UNIT = "unit"  # every baseline is 1 m
-
-
 class GroundSettings(_Group):
     """The ground plane as a scale source."""
 
@@ -83,16 +74,6 @@ class ScaleSettings(_Group):
     def relative(self) -> bool:
         """Whether nothing tells metres, so that the first scale is a convention."""
         return self.source in (ScaleSource.MAP, ScaleSource.UNIT)
-
-
-class Mode(StrEnum):
-    """The estimator of the poses."""
-
-    VO = "vo"  # visual odometry alone
-    VSLAM = "vslam"  # EKF visual SLAM alone; visual odometry only starts it
-    AVERAGE = "average"  # the paper: both, fused by their weighted mean at every interleaved frame
-    INTERSECTION = "intersection"  # both, fused by covariance intersection
-    GRAPH = "graph"  # the measurements of both in one factor graph
 
 
 class SlamSettings(_Group):
@@ -162,7 +143,7 @@ class GraphSettings(_Group):
 class Config(_Group):
     """Everything that a run depends on, apart from the sequence."""
 
-    preset: Literal["paper", "tuned"] = "tuned"  # which one the settings started from
+    preset: Preset = Preset.TUNED  # which one the settings started from
     mode: Mode = Mode.VO
     seed: int = Field(0, ge=0)
     features: FeatureSettings = FeatureSettings()

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from fvslam_graph.core.config import Mode, load_config
+from fvslam_graph.core.choices import Mode
+from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import ConfigError, StudyError
 from fvslam_graph.core.files import file_name
 from fvslam_graph.core.validation import complaint

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fvslam_graph.core.config import Mode
+from fvslam_graph.core.choices import Mode
 from fvslam_graph.core.errors import ConfigError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study.spec import Study, comparison, load_study
