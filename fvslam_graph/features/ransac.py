@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 MIN_POINTS = 5  # that RANSAC can draw from
 USAC_SEARCHES = 2
 USAC_SUCCESS = 1 - 1e-9  # probability of a sample without outliers, which ends it; there is no least number
-FARTHEST = 1e5  # baselines to a point that still tells on which side of the camera it is
 
 
 @dataclass(frozen=True)
@@ -93,8 +92,8 @@ def relative_poses(previous: Array, current: Array, camera: Camera, options: Ran
         with suppress(cv2.error):  # as which OpenCV says that there is none
             E, inliers = cv2.findEssentialMat(previous, current, camera.K, camera.K, None, None, usac)
             if E is not None and E.shape == (3, 3):
-                _, R, t, _ = cv2.recoverPose(E, previous, current, camera.K, FARTHEST, mask=inliers)
-                poses.append(gtsam.Pose3(gtsam.Rot3(R), t[:, 0]).inverse())
+                agree = inliers[:, 0] > 0
+                poses.append(_decomposed(E, camera.normalize(previous[agree]), camera.normalize(current[agree])))
     return poses
 
 
@@ -125,6 +124,22 @@ def absolute_pose(
             inliers[rows[:, 0]] = True
             return gtsam.Pose3(gtsam.Rot3.Expmap(rotation[:, 0]), t[:, 0]).inverse(), inliers
     return None
+
+
+def _decomposed(E: Array, previous: Array, current: Array) -> gtsam.Pose3:
+    """prev_T_cur of an essential matrix, by its inliers (N, 2) at unit depth.
+
+    Of both rotations, the smaller one: the other is half a turn about the baseline away. The sign of the direction is
+    that in which points have moved on the whole: far ones, which noise lets move either way, hardly count.
+    `cv2.recoverPose` counts them like all others, and took the wrong sign above a plane.
+    """
+    R1, R2, t = cv2.decomposeEssentialMat(E)
+    R, t = max(R1, R2, key=np.trace), t[:, 0]
+    turned = np.column_stack([previous, np.ones(len(previous))]) @ R.T
+    turned = turned[:, :2] / turned[:, 2:]
+    towards = t[:2] - turned * t[2]  # where points move to, the nearer the farther
+    moved = float(((current - turned) * towards).sum())
+    return gtsam.Pose3(gtsam.Rot3(R), np.copysign(1.0, moved) * t).inverse()
 
 
 def _poselib_camera(camera: Camera) -> dict[str, object]:
