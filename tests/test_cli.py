@@ -344,7 +344,6 @@ def test_compare(fvslam, drive, tmp_path, undrawn):
         (("--external", "orb.tum"), "--external takes NAME=FILE, not 'orb.tum'"),
         (("--set", "vo.inliers=3"), "there is no setting 'vo.inliers'; the nearest is 'vo.min_inliers'"),
         (("--set", "vo.inliers"), "--set takes group.name=value"),
-        (("--align", "sim"), "'align' cannot be 'sim'"),
     ],
 )
 def test_a_wrong_comparison_is_one_sentence(fvslam, drive, tmp_path, options, complaint):

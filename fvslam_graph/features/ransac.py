@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 
 try:
-    import poselib
+    import poselib as poselib  # as an attribute, which measurements and tests take away
 except ImportError:  # it has no wheel for ARM
     poselib = None
 
