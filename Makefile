@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadscope
 CHROMIUM := DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium fonts-dejavu-core
 
-.PHONY: help demo test test-all test-numerics fuzz lint browser package lock clean
+.PHONY: help demo test test-all test-numerics fuzz lint browser package installs lock clean
 .DEFAULT_GOAL := help
 
 help: ## This list
@@ -45,13 +45,18 @@ package: $(READY) ## Build wheel and sdist; without the repository, fly the demo
 	rm -rf dist build/wheel build/sdist
 	$(BIN)/hatchling build
 	$(PYTHON) -m venv build/wheel
-	build/wheel/bin/pip install --quiet --disable-pip-version-check dist/*.whl
+	build/wheel/bin/pip install --quiet --disable-pip-version-check "$$(ls dist/*.whl)[eval]"
 	cd build/wheel && bin/fvslam demo --frames 30 --out demo
 	$(PYTHON) -m venv build/sdist
 	build/sdist/bin/pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.lock
 	build/sdist/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation dist/*.tar.gz
 	tar -xzf dist/*.tar.gz -C build/sdist --strip-components 1 --one-top-level=source
 	cd build/sdist/source && ../bin/pytest --numprocesses 2 --dist loadscope
+
+installs: $(READY) ## Fresh installs without extras and with each: size, import time, demo; wheels for ARM
+	rm -rf dist
+	$(BIN)/hatchling build --target wheel
+	$(BIN)/python scripts/installs.py dist/*.whl
 
 lock: ## Pin the newest versions that pyproject.toml allows in requirements.lock
 	$(PYTHON) -m venv build/lock

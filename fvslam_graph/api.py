@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera, Distortion, Rectifier
-from fvslam_graph.core.config import Config, ScaleSource, load_config
+from fvslam_graph.core.choices import Mode, ScaleSource
+from fvslam_graph.core.config import Config, load_config
 from fvslam_graph.core.errors import ConfigError, EstimationError
 from fvslam_graph.core.frame_result import Ending, FrameResult
-from fvslam_graph.core.modes import MODES, Mode
+from fvslam_graph.core.modes import MODES
 from fvslam_graph.core.sensors import Fix
 from fvslam_graph.core.sequence import Frame, Ground, Sequence
 from fvslam_graph.core.trajectory import Trajectory

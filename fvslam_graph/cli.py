@@ -15,7 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 from typer.core import TyperCommand
 
+from fvslam_graph import __version__
+from fvslam_graph.core.choices import Mode, Preset, ScaleSource
 from fvslam_graph.core.errors import FvslamError
+from fvslam_graph.evaluation.alignment import Alignment
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,9 +29,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="fvslam",
-    help="Monocular visual odometry on any recording: run it, evaluate it with evo, plot it.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
@@ -77,11 +78,26 @@ TelemetryOffset = Annotated[
     float | None,
     typer.Option(help="Added to the times of the telemetry; estimated if not given.", metavar="SECONDS"),
 ]
-Preset = Annotated[str | None, typer.Option(help="paper or tuned.", show_default="tuned")]
+PresetName = Annotated[Preset | None, typer.Option(help="Settings to start from.", show_default="tuned")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
 ]
-Align = Annotated[str, typer.Option(help="none, origin, se3 or sim3.")]
+Align = Annotated[Alignment, typer.Option(help="How the estimate is brought into the world of its reference.")]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"fvslam {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def fvslam(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Monocular visual odometry on any recording: run it, evaluate it with evo, plot it."""
 
 
 class _WithPlugins(TyperCommand):
@@ -103,13 +119,14 @@ def run(
     ] = None,
     mode: Annotated[
         str | None,
-        typer.Option(help="vo, vslam, average, intersection, graph, or a path like mypkg:MyRule.", show_default="vo"),
+        typer.Option(help=f"{', '.join(Mode)}, or a path like mypkg:MyRule.", show_default="vo"),
     ] = None,
-    preset: Preset = None,
+    preset: PresetName = None,
     config: Annotated[
         Path | None,
         typer.Option(help="YAML file with settings that differ from the preset, or config.yaml of a run to repeat."),
     ] = None,
+    scale: Annotated[ScaleSource | None, typer.Option(help="Where metres come from.", show_default="plane")] = None,
     settings: Settings = None,
     seed: Annotated[int | None, typer.Option(help="Of all random numbers.", show_default="0")] = None,
     format: Format = None,
@@ -133,7 +150,8 @@ def run(
     from fvslam_graph.core.files import file_name
     from fvslam_graph.sequences.open import open_sequence
 
-    given = [f"{name}={value}" for name, value in (("mode", mode), ("seed", seed)) if value is not None]
+    options = {"mode": mode, "scale.source": scale, "seed": seed}
+    given = [f"{name}={value}" for name, value in options.items() if value is not None]
     chosen = load_config(preset, config, [*given, *(settings or [])])
     sequence = open_sequence(
         path,
@@ -159,7 +177,7 @@ def run(
 def evaluate(
     estimate: Annotated[Path, typer.Argument(help="Run folder, or a TUM, KITTI or ASL file.")],
     reference: Annotated[Path | None, typer.Option(help="The same; a run knows its own ground truth.")] = None,
-    align: Align = "se3",
+    align: Align = Alignment.SE3,
     time_offset: Annotated[
         float, typer.Option(help="Added to the stamps of the estimate, as evo's --t_offset.", metavar="SECONDS")
     ] = 0.0,
@@ -179,7 +197,7 @@ def evaluate(
 def plot(
     runs: Annotated[list[Path], typer.Argument(help="Run folders.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the plots; the first run's if not given.")] = None,
-    align: Align = "se3",
+    align: Align = Alignment.SE3,
     landmarks: Annotated[
         str | None,
         typer.Option(
@@ -188,13 +206,12 @@ def plot(
     ] = None,
 ) -> None:
     """Plot trajectories, errors, speed, scale and inliers of one or several runs, as PNG and PDF."""
-    from fvslam_graph.evaluation.alignment import Alignment
     from fvslam_graph.evaluation.landmark_plots import plot_landmarks
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.runs.run_folder import read_run
 
     shown = plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]) if landmarks is not None else []
-    for file in [*plot_runs([read_run(run) for run in runs], out or runs[0], Alignment.named(align)), *shown]:
+    for file in [*plot_runs([read_run(run) for run in runs], out or runs[0], align), *shown]:
         typer.echo(file)
 
 
@@ -227,10 +244,10 @@ def export(
 @app.command(cls=_WithPlugins)
 def compare(
     path: SequencePath,
-    modes: Annotated[str, typer.Option(help="Comma-separated; as for run.")] = "vo,vslam,average,intersection,graph",
+    modes: Annotated[str, typer.Option(help="Comma-separated; as for run.")] = ",".join(Mode),
     seeds: Annotated[int, typer.Option(help="How many runs of each mode.", min=1)] = 5,
     topic: ImageTopic = None,
-    preset: Preset = None,
+    preset: PresetName = None,
     settings: Settings = None,
     external: Annotated[
         list[str] | None,
@@ -239,7 +256,7 @@ def compare(
             metavar="NAME=FILE",
         ),
     ] = None,
-    align: Align = "sim3",
+    align: Align = Alignment.SIM3,
     out: Annotated[Path | None, typer.Option(help="Folder; runs/comparison-on-... if not given.")] = None,
     workers: Annotated[int, typer.Option(help="Runs at once; with 1, times are undisturbed.", min=1)] = 1,
 ) -> None:
@@ -255,7 +272,7 @@ def compare(
         Source(path=path, topic=topic),
         modes.split(","),
         seeds,
-        preset=preset or "tuned",
+        preset=preset or Preset.TUNED,
         settings={
             name: parse_yaml(value, f"the value of '{name}={value}'", ConfigError) for name, value in values.items()
         },
@@ -329,10 +346,12 @@ def calibrate(
     For what is left without a board, see `distortion`.
     """
     from fvslam_graph.core.errors import CameraError
+    from fvslam_graph.core.extras import require
     from fvslam_graph.evaluation.calibration_plot import plot_residuals
     from fvslam_graph.sequences import boards
     from fvslam_graph.sequences.board_calibration import calibrate as calibrated
 
+    require("eval")  # for the picture
     picture = out.with_name(f"{out.stem}_residuals.png")
     for file in (out, picture):
         if file.exists():
@@ -377,15 +396,16 @@ def demo(
     frames: Annotated[int, typer.Option(help="Length of the flight.", min=10)] = 200,
 ) -> None:
     """Fly a small UAV over generated terrain, estimate its motion in all modes, and compare."""
+    from fvslam_graph.core.choices import Mode
     from fvslam_graph.core.config import load_config
-    from fvslam_graph.core.modes import Mode
-    from fvslam_graph.evaluation.alignment import Alignment
+    from fvslam_graph.core.extras import require
     from fvslam_graph.evaluation.plots import plot_runs
     from fvslam_graph.evaluation.report import runs_table
     from fvslam_graph.evaluation.runs import evaluate_run
     from fvslam_graph.runs.run_folder import read_run
     from fvslam_graph.sequences.open import open_sequence
 
+    require("eval")
     sequence = open_sequence(f"synthetic:uav?frames={frames}")
     sequence = replace(sequence, load=cache(sequence.load))  # rendering an image takes longer than using it
     folders = []

@@ -10,13 +10,14 @@ from functools import partial
 import numpy as np
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.core.config import Config, ScaleSource
+from fvslam_graph.core.choices import Mode, ScaleSource
+from fvslam_graph.core.config import Config
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.frame_result import Ending, FrameResult
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.core.landmark_finder import LandmarkFinder
-from fvslam_graph.core.modes import Mode, outside_mode
+from fvslam_graph.core.modes import outside_mode
 from fvslam_graph.core.outside import OutsideSteps
 from fvslam_graph.core.plugins import Kind
 from fvslam_graph.core.sequence import DuplicateFilter, Frame, Ground, Sequence

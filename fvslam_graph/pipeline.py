@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from fvslam_graph.core.config import Config, ScaleSource
+from fvslam_graph.core.choices import Mode, ScaleSource
+from fvslam_graph.core.config import Config
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.frame_result import Ending, FrameResult
-from fvslam_graph.core.modes import Mode, outside_mode
+from fvslam_graph.core.modes import outside_mode
 from fvslam_graph.core.outside import method_results
 from fvslam_graph.core.plugins import Kind, Plugin, find
 from fvslam_graph.core.sensors import SensorKind

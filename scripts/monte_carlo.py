@@ -20,8 +20,8 @@ import typer
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fvslam_graph.core.choices import Mode
 from fvslam_graph.core.config import SlamSettings, load_config
-from fvslam_graph.core.modes import Mode
 from fvslam_graph.evaluation.monte_carlo import pose_errors, run, run_vslam
 from fvslam_graph.evaluation.nees import average_nees, nees
 from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE

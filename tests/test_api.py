@@ -9,9 +9,9 @@ import pytest
 
 import fvslam_graph
 from fvslam_graph.core.camera import Distortion
+from fvslam_graph.core.choices import Mode
 from fvslam_graph.core.errors import ConfigError, EstimationError, FvslamError
 from fvslam_graph.core.geodesy import LocalFrame
-from fvslam_graph.core.modes import Mode
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.landmark_plots import plot_landmarks

@@ -1,6 +1,8 @@
 """Imports run one way: from the faces down to the core."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,7 @@ ALLOWED = {
     "features": {"core"},
     "vo": {"core", "features"},
     "slam": {"core", "features"},
-    "graph": {"core"},
+    "graph": {"core", "features"},
     "fusion": {"core", "graph"},
     "simulation": {"core"},
     "sequences": {"core"},
@@ -87,3 +89,37 @@ def test_libraries_that_few_modules_import(library, where):
             if any(name.split(".")[0] == library for name in names):
                 found.add(module.relative_to(PACKAGE).as_posix())
     assert found <= where
+
+
+FIRST_POSE = """
+import sys
+from itertools import islice
+from fvslam_graph.core.config import load_config
+from fvslam_graph.pipeline import frame_estimator, resolve_config
+from fvslam_graph.sequences.open import open_sequence
+sequence = open_sequence(sys.argv[1])
+estimator = frame_estimator(sequence, resolve_config(load_config(), sequence))
+print(*(result.status for result in islice(estimator.through(sequence), 2)))
+print(*{name.partition(".")[0] for name in sys.modules})
+"""
+
+
+def test_odometry_loads_nothing_that_it_does_without(drive):
+    command = [sys.executable, "-c", FIRST_POSE, str(drive)]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    statuses, modules = process.stdout.splitlines()
+    assert statuses == "static tracked"
+    others = {
+        "scipy",
+        "pandas",
+        "pyarrow",
+        "evo",
+        "matplotlib",
+        "dask",
+        "jinja2",
+        "rich",
+        "typer",
+        "rosbags",
+        "pymap3d",
+    }
+    assert not set(modules.split()) & others

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvslam_graph.core.config import ScaleSource, load_config
+from fvslam_graph.core.choices import ScaleSource
+from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.pipeline import resolve_config, run_metadata
 from fvslam_graph.sequences.open import open_sequence

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
 
+from fvslam_graph.core.choices import Mode, Preset, ScaleSource
 from fvslam_graph.core.errors import ConfigError
-from fvslam_graph.core.modes import Mode, ModeName, TrackerName, outside_mode, outside_tracker
+from fvslam_graph.core.modes import ModeName, TrackerName, outside_mode, outside_tracker
 from fvslam_graph.core.plugins import Origin
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import parse_yaml, read_yaml_mapping
@@ -50,15 +50,6 @@ class VoSettings(_Group):
     max_acceleration: PositiveFloat = 3.0  # m/s^2, standard deviation, of the motion model
     max_angular_acceleration: PositiveFloat = 1.0  # rad/s^2, likewise
     calibrate: bool = True  # a calibration that is grossly wrong is corrected
-
-
-class ScaleSource(StrEnum):
-    """Where metres come from."""
-
-    PLANE = "plane"  # known distance to the ground plane
-    MAP = "map"  # relative: tracks that two consecutive pairs have in common; the first scale is a guess
-    ORACLE = "oracle"  # the ground truth
-    UNIT = "unit"  # every baseline is 1 m
 
 
 class GroundSettings(_Group):
@@ -154,7 +145,7 @@ class GraphSettings(_Group):
 class Config(_Group):
     """Everything that a run depends on, apart from the sequence."""
 
-    preset: Literal["paper", "tuned"] = "tuned"  # which one the settings started from
+    preset: Preset = Preset.TUNED  # which one the settings started from
     mode: ModeName = Mode.VO.value
     seed: int = Field(0, ge=0)
     features: FeatureSettings = FeatureSettings()

@@ -1,16 +1,27 @@
-"""Libraries that only some users need: what is missing is one sentence."""
+"""Libraries that only some users need: what is missing is one sentence, before any work is done."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from __future__ import annotations
+
+from importlib.util import find_spec
 
 from fvslam_graph.core.errors import FvslamError
 
+LIBRARIES = {
+    "bags": ("rosbags",),
+    "eval": ("evo", "matplotlib"),
+    "geo": ("pymap3d",),
+    "study": ("dask", "distributed", "evo", "jinja2", "matplotlib", "pandas", "pyarrow"),
+    "test": ("evo", "matplotlib", "pytest"),
+}
+"""What each extra installs, by the names of its modules."""
 
-@contextmanager
-def extra(name: str) -> Iterator[None]:
-    """Turns an ImportError of the block, which imports what the extra `name` installs, into a FvslamError."""
-    try:
-        yield
-    except ImportError as error:
-        library = (error.name or "a library").partition(".")[0]
-        raise FvslamError(f"{library} is not installed; `pip install fvslam-graph[{name}]` brings it") from None
+
+def require(extra: str) -> None:
+    """Check that what an extra installs is there.
+
+    Raises:
+        FvslamError: A library of it is missing; the message says how to install it.
+    """
+    for library in LIBRARIES[extra]:
+        if find_spec(library) is None:
+            raise FvslamError(f"{library} is not installed; `pip install fvslam-graph[{extra}]` brings it")

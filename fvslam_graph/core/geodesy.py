@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.core.extras import extra
+from fvslam_graph.core.extras import require
 
 Array = NDArray[np.float64]
 
@@ -28,8 +28,9 @@ class LocalFrame:
         Raises:
             FvslamError: pymap3d is not installed.
         """
-        with extra("geo"):
-            import pymap3d
+        require("geo")
+        import pymap3d
+
         return np.column_stack(pymap3d.geodetic2enu(*np.asarray(places).T, *self.origin))
 
     def geodetic(self, points: Array) -> Array:
@@ -38,6 +39,7 @@ class LocalFrame:
         Raises:
             FvslamError: pymap3d is not installed.
         """
-        with extra("geo"):
-            import pymap3d
+        require("geo")
+        import pymap3d
+
         return np.column_stack(pymap3d.enu2geodetic(*np.asarray(points).T, *self.origin))

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import Annotated
 
 from pydantic import AfterValidator
 
+from fvslam_graph.core.choices import Mode
 from fvslam_graph.core.plugins import Kind, Plugin, find
-
-
-class Mode(StrEnum):
-    """The estimators of the poses that this package has; see `outside_mode` for others."""
-
-    VO = "vo"  # visual odometry alone
-    VSLAM = "vslam"  # EKF visual SLAM alone; visual odometry only starts it
-    AVERAGE = "average"  # the paper: both, fused by their weighted mean at every interleaved frame
-    INTERSECTION = "intersection"  # both, fused by covariance intersection
-    GRAPH = "graph"  # the measurements of both in one factor graph
-
 
 MODES = tuple(mode.value for mode in Mode)
 TRACKERS = ("klt", "ncc")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.extras import require
 from fvslam_graph.core.files import writing
 from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.evaluation.plots import STYLE, legible, level_axes, save
@@ -37,6 +38,7 @@ def plot_landmarks(folder: Path, frames: list[int], out: Path) -> list[Path]:
     Raises:
         FvslamError: The run has no landmarks or not in this frame, or the recording is not there any more.
     """
+    require("eval")
     import matplotlib
     from matplotlib.figure import Figure
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fvslam_graph.core.errors import TrajectoryError
+from fvslam_graph.core.extras import require
 from fvslam_graph.core.files import replacing, write_file, write_json, writing
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
@@ -136,6 +137,7 @@ def evaluate(
     Raises:
         TrajectoryError: Fewer than two poses have a reference, or positions are too far away for numbers.
     """
+    require("eval")
     pairs = associate(estimate, reference, time_offset)
     _require_near("estimate", pairs.estimate)
     _require_near("reference", pairs.reference)

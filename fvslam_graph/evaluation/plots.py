@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.extras import require
 from fvslam_graph.core.files import one_line, write_file, writing
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
@@ -92,6 +93,7 @@ def plot_runs(
         ResultsError: The runs are of different sequences or hold fewer than two poses, or `out` cannot be written.
         TrajectoryError: The ground truth of a run has no time in common with it.
     """
+    require("eval")
     import matplotlib
 
     _require_drawable(runs)

@@ -7,7 +7,6 @@ from typing import Literal, Protocol
 
 import gtsam
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.gaussian_pose import GaussianPose
@@ -73,6 +72,8 @@ class Intersection:
 
     def __call__(self, odometry: GaussianPose, slam: GaussianPose) -> GaussianPose:
         """The intersection; its covariance holds for any correlation of the two."""
+        from scipy.optimize import minimize_scalar  # which takes half as long to load as all else together
+
         # Radians and metres are made comparable, so that neither decides, nor a direction of almost no variance.
         units = np.sqrt(np.maximum(np.diag(odometry.covariance + slam.covariance) / 2, 1e-18))
         scale = np.outer(units, units)

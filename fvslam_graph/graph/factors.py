@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import gtsam
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
@@ -113,7 +112,8 @@ def motion_noise(prev_T_cur: GaussianPose, settings: GraphSettings, length: bool
     told = gtsam.noiseModel.Gaussian.Covariance(covariance)
     if not length:
         travel = gtsam.Unit3(prev_T_cur.mean.rotation().unrotate(prev_T_cur.mean.translation()))
-        across = scipy.linalg.block_diag(np.eye(3), travel.basis())
+        across = np.zeros((6, 5))
+        across[:3, :3], across[3:, 3:] = np.eye(3), travel.basis()
         root = np.zeros((6, 6))
         root[:5] = np.linalg.inv(np.linalg.cholesky(across.T @ covariance @ across)) @ across.T
         told = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
-import poselib
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.features.ransac import RansacOptions, absolute_pose
 
 Array = NDArray[np.float64]
 
@@ -46,14 +48,14 @@ def contradiction(
     distances = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(axis=1)
     if float(np.median(distances)) < CONTRADICTION_GATE:
         return None
-    square = camera.fx * camera.normalize(pixels)
-    model = {"model": "SIMPLE_PINHOLE", "width": camera.width, "height": camera.height, "params": [camera.fx, 0, 0]}
-    ransac = {"max_reproj_error": WIDTH * sigma, "seed": seed}
-    found, info = poselib.estimate_absolute_pose(square, points, model, ransac, {})
-    agree = np.array(info["inliers"], bool)
+    square = replace(camera.undistorted(), fy=camera.fx, cx=0.0, cy=0.0)  # pixels as far apart in both directions
+    options = RansacOptions(WIDTH * sigma, WIDTH * sigma / 2, seed)
+    found = absolute_pose(points, camera.fx * camera.normalize(pixels), square, options)
+    if found is None:
+        return None
+    pose, agree = found
     if agree.sum() < max(MIN_LANDMARKS, MIN_AGREEING_SHARE * len(points)):
         return None
-    pose = gtsam.Pose3(gtsam.Rot3(found.R), found.t).inverse()
     _, J_pose = _innovations(pose, points[agree], pixels[agree], camera)
     information = (J_pose.mT @ J_pose).sum(axis=0) / sigma**2
     return GaussianPose(pose, np.linalg.inv(information)) if np.linalg.cond(information) < MAX_CONDITION else None

@@ -5,7 +5,7 @@ import os
 import platform
 import subprocess
 import sys
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,21 @@ def provenance() -> dict[str, Any]:
         "versions": {
             "fvslam_graph": __version__,
             "python": platform.python_version(),
-            **{name: version(package) for name, package in _LIBRARIES.items()},
+            **{name: _version(package) for name, package in _LIBRARIES.items()},
         },
         "machine": {"platform": platform.platform(), "cores": os.cpu_count()},
     }
     if (revision := _git_revision()) is not None:
         facts["git"] = revision
     return facts
+
+
+def _version(package: str) -> str | None:
+    """Its version; None where it is not installed, as PoseLib on ARM."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
 
 
 def peak_memory_mb() -> float:

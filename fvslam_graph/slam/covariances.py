@@ -1,14 +1,20 @@
-"""Operations on large covariance matrices, of which new memory and transposes cost more than the arithmetic."""
+"""Operations on large covariance matrices, of which new memory and transposes cost more than the arithmetic.
+
+SciPy is imported where it computes: it takes as long to load as NumPy and GTSAM together, and odometry does without it.
+"""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from fvslam_graph.slam.inverse_depth import Array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 def keep_memory() -> None:
@@ -21,18 +27,20 @@ def keep_memory() -> None:
     np.empty(30 << 20, np.uint8)
 
 
-def sparse_rows(blocks: list[tuple[Array, NDArray[np.intp]]], width: int) -> scipy.sparse.csr_array:
+def sparse_rows(blocks: list[tuple[Array, NDArray[np.intp]]], width: int) -> csr_array:
     """A sparse matrix from dense blocks, one below the other.
 
     Args:
         blocks: (N, r, c) values and (N, c) their columns, the same for the r rows of a block.
         width: Of the matrix.
     """
+    from scipy.sparse import csr_array
+
     columns = [np.repeat(where, block.shape[1], axis=0).ravel() for block, where in blocks]
     lengths = [np.full(block.shape[0] * block.shape[1], block.shape[2]) for block, _ in blocks]
     starts = np.concatenate([[0], np.cumsum(np.concatenate(lengths))])
     data = np.concatenate([block.ravel() for block, _ in blocks])
-    return scipy.sparse.csr_array((data, np.concatenate(columns), starts), shape=(len(starts) - 1, width))
+    return csr_array((data, np.concatenate(columns), starts), shape=(len(starts) - 1, width))
 
 
 def each_transformed(covariance: Array, jacobian: Array, columns: NDArray[np.intp]) -> Array:
@@ -41,12 +49,12 @@ def each_transformed(covariance: Array, jacobian: Array, columns: NDArray[np.int
     return P_new
 
 
-def transformed(covariance: Array, jacobian: scipy.sparse.csr_array) -> Array:
+def transformed(covariance: Array, jacobian: csr_array) -> Array:
     """J P J^T, exactly symmetric."""
     return symmetric(jacobian @ cv2.transpose(jacobian @ covariance))
 
 
-def innovation_covariance(jacobian: scipy.sparse.csr_array, covariance: Array, sigma: float) -> tuple[Array, Array]:
+def innovation_covariance(jacobian: csr_array, covariance: Array, sigma: float) -> tuple[Array, Array]:
     """H P (k, n), and the innovation covariance H P H^T (k, k), exactly symmetric, with noise of deviation `sigma`."""
     product = jacobian @ covariance
     S = symmetric(jacobian @ cv2.transpose(product))
@@ -59,6 +67,8 @@ def inverse_root(covariance: Array) -> Array:
 
     P is positive definite, as the covariance of innovations is, which holds the noise of the pixels.
     """
+    from scipy.linalg import lapack
+
     L, _ = lapack.dpotrf(covariance, lower=1)
     inverse: Array = lapack.dtrtri(L, lower=1, overwrite_c=1)[0]
     return inverse

@@ -7,7 +7,6 @@ import math
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import SlamSettings
@@ -134,12 +133,12 @@ class MapManager:
 
 def spread_out(candidates: Array, taken: Array, count: int) -> NDArray[np.intp]:
     """Rows of up to `count` candidates (N, 2), far from those `taken` (M, 2) and from each other."""
-    gap = cdist(candidates, taken).min(axis=1, initial=np.inf)
+    gap = np.linalg.norm(candidates[:, None] - taken, axis=2).min(axis=1, initial=np.inf)
     chosen: list[int] = []
     for _ in range(min(count, len(candidates))):
         farthest = int(np.argmax(gap))
         if gap[farthest] < SPACING:
             break
         chosen.append(farthest)
-        gap = np.minimum(gap, cdist(candidates, candidates[farthest, None])[:, 0])
+        gap = np.minimum(gap, np.linalg.norm(candidates - candidates[farthest], axis=1))
     return np.array(chosen, np.intp)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.linalg
-import scipy.sparse
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
@@ -15,6 +14,9 @@ from fvslam_graph.slam.covariances import each_transformed, innovation_covarianc
 from fvslam_graph.slam.inverse_depth import Array, hat, scaled_points
 from fvslam_graph.slam.motion import motion_from_velocity
 from fvslam_graph.slam.state import FIXED, VELOCITY, State
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 PIXEL_GATE = chi2_gate(0.99, 2)  # of a pixel
 MAX_ITERATIONS = 10
@@ -56,7 +58,7 @@ class Prediction:
     blocks: Array
     columns: NDArray[np.intp]
 
-    def jacobian(self, chosen: NDArray[np.bool_]) -> scipy.sparse.csr_array:
+    def jacobian(self, chosen: NDArray[np.bool_]) -> csr_array:
         """The Jacobian (2K, n) of the K chosen landmarks, (N,), by the error state."""
         return sparse_rows([(self.blocks[chosen], self.columns[chosen])], len(self.state.covariance))
 
@@ -110,6 +112,8 @@ def update(prediction: Prediction, chosen: NDArray[np.bool_], pixels: Array) -> 
     Returns:
         The prediction of the updated state.
     """
+    from scipy.linalg import cho_solve, solve_triangular
+
     if not chosen.any():
         return prediction
     origin, model = prediction.state, prediction.model
@@ -119,12 +123,12 @@ def update(prediction: Prediction, chosen: NDArray[np.bool_], pixels: Array) -> 
         HP, S = innovation_covariance(jacobian, origin.covariance, model.sigma)
         L = np.linalg.cholesky(S)
         innovation = (pixels - expected)[chosen].ravel() + jacobian @ error
-        error = HP.T @ scipy.linalg.cho_solve((L, True), innovation, check_finite=False)
+        error = HP.T @ cho_solve((L, True), innovation, check_finite=False)
         prediction = predict_pixels(origin.retract(error), model)
         linear = innovation - jacobian @ error
         if np.abs((pixels - prediction.pixels)[chosen].ravel() - linear).max() < MIN_DEPARTURE * model.sigma:
             break
-    Y = scipy.linalg.solve_triangular(L, HP, lower=True, check_finite=False)
+    Y = solve_triangular(L, HP, lower=True, check_finite=False)
     covariance = Y.T @ Y
     np.subtract(origin.covariance, covariance, out=covariance)  # in place: new memory costs more than the arithmetic
     return replace(prediction, state=replace(prediction.state, covariance=covariance))

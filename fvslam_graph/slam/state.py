@@ -10,7 +10,6 @@ from typing import Self
 import cv2
 import gtsam
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from fvslam_graph.slam.covariances import each_transformed, extended, selected
@@ -67,7 +66,8 @@ class State:
     @classmethod
     def at(cls, world_T_camera: gtsam.Pose3, covariance: Array) -> Self:
         """A camera with an empty map and no velocity, at a pose with covariance (6, 6)."""
-        P = scipy.linalg.block_diag(covariance, np.zeros((FIXED - 6, FIXED - 6)))
+        P = np.zeros((FIXED, FIXED))
+        P[POSE, POSE] = covariance
         none = np.empty((0, PART))
         ids, rows = np.empty(0, np.int64), np.empty(0, np.intp)
         return cls(world_T_camera, np.zeros(6), none, none, rows, none, ids, P)

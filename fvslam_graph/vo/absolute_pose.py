@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-import poselib
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
@@ -14,8 +13,9 @@ from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.features.ransac import absolute_pose
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
-from fvslam_graph.vo.relative_pose import KERNEL, ROUGH, START_NOISE, WIDTHS, a_sample, poselib_camera
+from fvslam_graph.vo.relative_pose import KERNEL, START_NOISE, WIDTHS, a_sample, ransac_options
 from fvslam_graph.vo.reprojection import reprojection_errors
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 def estimate_absolute_pose(
     points: Array, pixels: Array, camera: Camera, settings: VoSettings, seed: int
 ) -> gtsam.Pose3 | None:
-    """keyframe_T_cur by three-point RANSAC with local optimisation (PoseLib); None without a solution.
+    """keyframe_T_cur by three-point RANSAC; None without a solution.
 
     Args:
         points: (N, 3) in the keyframe, metres.
@@ -37,18 +37,13 @@ def estimate_absolute_pose(
     """
     if len(points) < settings.min_inliers:
         return None
-    ransac = {
-        "max_reproj_error": 2 * settings.ransac_threshold,
-        "min_iterations": settings.ransac_iterations,
-        "max_iterations": 20 * settings.ransac_iterations,
-        "seed": seed,
-    }
-    bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE, "max_iterations": ROUGH}
     some = a_sample(len(points))
-    pose, info = poselib.estimate_absolute_pose(pixels[some], points[some], poselib_camera(camera), ransac, bundle)
-    if sum(info["inliers"]) * len(points) < settings.min_inliers * len(some):
+    options = ransac_options(2 * settings.ransac_threshold, settings, seed)
+    found = absolute_pose(points[some], pixels[some], camera, options)
+    if found is None:
         return None
-    return gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
+    keyframe_T_cur, inliers = found
+    return keyframe_T_cur if inliers.sum() * len(points) >= settings.min_inliers * len(some) else None
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.core.config import Config, FeatureSettings, ScaleSource
+from fvslam_graph.core.choices import ScaleSource
+from fvslam_graph.core.config import Config, FeatureSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale, ScaledPose
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.modes import outside_tracker

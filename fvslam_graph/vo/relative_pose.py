@@ -9,7 +9,6 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-import poselib
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
@@ -19,6 +18,7 @@ from fvslam_graph.core.quick import median
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.vo_estimate import CalibrationEvidence
+from fvslam_graph.features.ransac import RansacOptions, relative_poses
 from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, Rays, calibration_jacobian, epipolar_distance
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
@@ -92,7 +92,7 @@ def estimate_relative_pose(
     """The relative pose that explains best how points move, and what is known of their depths; None without one.
 
     Points on a plane have two solutions that explain two views alike, and noise often prefers the wrong one. So what
-    five-point RANSAC finds (PoseLib) is set against the motions that are expected, all refined, and each has to
+    five-point RANSAC finds is set against the motions that are expected, all refined, and each has to
     account for the depths that it triangulates as well.
 
     Args:
@@ -103,25 +103,16 @@ def estimate_relative_pose(
         expected: Motions prev_T_cur.
         known: Depths of some of the tracks in the previous camera. They choose among the solutions and are no part of
             the chosen one, so that its error has nothing to do with theirs.
-
-    Source: Nister 2004 (five points); Larsson et al., PoseLib (LO-RANSAC).
     """
     if len(tracks) < settings.min_inliers:
         return None
-    model = poselib_camera(camera)
-    ransac = {
-        "max_epipolar_error": settings.ransac_threshold,
-        "min_iterations": settings.ransac_iterations,
-        "max_iterations": 20 * settings.ransac_iterations,
-        "seed": seed,
-    }
-    bundle = {"loss_type": "CAUCHY", "loss_scale": KERNEL * START_NOISE, "max_iterations": ROUGH}
     some = tracks[a_sample(len(tracks))]
-    pose, _ = poselib.estimate_relative_pose(some.keyframe, some.current, model, model, ransac, bundle)
-    found = gtsam.Pose3(gtsam.Rot3(pose.R), pose.t).inverse()
+    options = ransac_options(settings.ransac_threshold, settings, seed)
+    found = relative_poses(some.keyframe, some.current, camera, options)
     matches = _Matches(tracks, MatchedRays.of(camera, tracks), known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
-    starts = [(start, WIDTHS) for start in expected] + [(found, WIDTHS[FOUND:])]
+    starts: list[tuple[gtsam.Pose3, Sequence[int]]] = [(start, WIDTHS) for start in expected]
+    starts += [(start, WIDTHS[FOUND:]) for start in found]
     fits: list[_Fit] = []
     for start, widths in starts:
         if np.linalg.norm(start.translation()) > 0 and (fit := _refine(start, matches, limit, widths, fits)):
@@ -272,7 +263,7 @@ def a_sample(count: int) -> NDArray[np.intp]:
     return np.arange(0, count, max(1, count // RANSAC_TRACKS))
 
 
-def poselib_camera(camera: Camera) -> dict[str, object]:
-    """The undistorted camera as PoseLib takes it."""
-    parameters = [camera.fx, camera.fy, camera.cx, camera.cy]
-    return {"model": "PINHOLE", "width": camera.width, "height": camera.height, "params": parameters}
+def ransac_options(threshold: float, settings: VoSettings, seed: int) -> RansacOptions:
+    """Those of odometry, with a threshold in pixels."""
+    iterations = (settings.ransac_iterations, 20 * settings.ransac_iterations)
+    return RansacOptions(threshold, KERNEL * START_NOISE, seed, iterations, ROUGH)

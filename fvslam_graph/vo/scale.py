@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fvslam_graph.core.config import ScaleSettings, ScaleSource
+from fvslam_graph.core.choices import ScaleSource
+from fvslam_graph.core.config import ScaleSettings
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap

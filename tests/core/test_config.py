@@ -4,7 +4,8 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from fvslam_graph.core.config import Config, ScaleSource, load_config
+from fvslam_graph.core.choices import ScaleSource
+from fvslam_graph.core.config import Config, load_config
 from fvslam_graph.core.errors import ConfigError
 
 

@@ -503,7 +503,7 @@ def test_bags_without_messages_images_or_metadata(tmp_path, write_bag):
 
 def test_a_missing_extra_is_one_sentence(tmp_path, write_bag, monkeypatch):
     path = write_bag(tmp_path / "x.bag", [info(), *images()])
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(FvslamError, match=r"rosbags is not installed; `pip install fvslam-graph\[bags\]`"):
         open_sequence(path)
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from fvslam_graph.core.choices import Mode
 from fvslam_graph.core.errors import ConfigError, StudyError
-from fvslam_graph.core.modes import Mode
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study.spec import Study, comparison, load_study
 

@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
-from fvslam_graph.core.config import ScaleSource, load_config
+from fvslam_graph.core.choices import ScaleSource
+from fvslam_graph.core.config import load_config
 from fvslam_graph.core.sequence import Frame, Sequence
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.trajectory import Trajectory

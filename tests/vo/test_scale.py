@@ -6,7 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.core.config import ScaleSettings, ScaleSource
+from fvslam_graph.core.choices import ScaleSource
+from fvslam_graph.core.config import ScaleSettings
 from fvslam_graph.core.gaussian_pose import LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.sequence import Frame

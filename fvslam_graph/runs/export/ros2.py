@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fvslam_graph.core.errors import ResultsError
-from fvslam_graph.core.extras import extra
+from fvslam_graph.core.extras import require
 from fvslam_graph.runs.export.poses import ExportedPoses
 
 POSE_TOPIC, TF_TOPIC = "/fvslam/pose", "/tf"
@@ -28,9 +28,10 @@ def write(path: Path, poses: ExportedPoses) -> tuple[str, ...]:
         FvslamError: rosbags is not installed.
         ResultsError: A stamp is before 1970, which bags do not have.
     """
-    with extra("bags"):
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
+    require("bags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
     if poses.nanoseconds[0] < 0:
         raise ResultsError(f"{poses.run.name} begins at {poses.trajectory.stamps[0]:g} s; bags have no stamps below 0")
     store = get_typestore(Stores.ROS2_HUMBLE)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fvslam_graph.core.errors import SequenceError
-from fvslam_graph.core.extras import extra
+from fvslam_graph.core.extras import require
 
 MEND = "a recording that was cut off is mended by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
@@ -49,9 +49,10 @@ class Bag:
     """
 
     def __init__(self, path: Path) -> None:
-        with extra("bags"):
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
+        require("bags")
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+
         self.path = path
         try:
             # Bags of ROS 2 before Iron do not define their messages.
