@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from fvslam_graph.core.config import Config
+    from fvslam_graph.core.frame_result import FrameResult
     from fvslam_graph.core.sequence import Sequence
     from fvslam_graph.study.spec import Study
 
@@ -50,6 +53,14 @@ CameraHeight = Annotated[float | None, typer.Option(help="Metres from the camera
 CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera looks below the horizon.")]
 CameraK1 = Annotated[float | None, typer.Option(help="Radial distortion left in the images; see `distortion`.")]
 ImageTopic = Annotated[str | None, typer.Option("--topic", help="Image topic of a ROS bag, if it holds several.")]
+ModeName = Annotated[
+    str | None, typer.Option("--mode", help="vo, vslam, average, intersection or graph.", show_default="vo")
+]
+Seed = Annotated[int | None, typer.Option(help="Of all random numbers.", show_default="0")]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option(help="YAML file with settings that differ from the preset, or config.yaml of a run to repeat."),
+]
 Preset = Annotated[str | None, typer.Option(help="paper or tuned.", show_default="tuned")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
@@ -63,16 +74,11 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run; runs/<sequence>-<mode>-<preset> if not given.")
     ] = None,
-    mode: Annotated[
-        str | None, typer.Option(help="vo, vslam, average, intersection or graph.", show_default="vo")
-    ] = None,
+    mode: ModeName = None,
     preset: Preset = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(help="YAML file with settings that differ from the preset, or config.yaml of a run to repeat."),
-    ] = None,
+    config: ConfigFile = None,
     settings: Settings = None,
-    seed: Annotated[int | None, typer.Option(help="Of all random numbers.", show_default="0")] = None,
+    seed: Seed = None,
     frames: Frames = None,
     stride: Stride = 1,
     image_scale: ImageScale = 1.0,
@@ -82,12 +88,10 @@ def run(
     topic: ImageTopic = None,
 ) -> None:
     """Run an estimator on a sequence and keep the result in a folder."""
-    from fvslam_graph.core.config import load_config
     from fvslam_graph.core.files import file_name
     from fvslam_graph.sequences.open import open_sequence
 
-    given = [f"{name}={value}" for name, value in (("mode", mode), ("seed", seed)) if value is not None]
-    chosen = load_config(preset, config, [*given, *(settings or [])])
+    chosen = _config(mode, preset, config, settings, seed)
     sequence = open_sequence(
         path,
         frames=frames,
@@ -101,6 +105,59 @@ def run(
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{chosen.mode}-{chosen.preset}"
     said = _run(sequence, chosen, folder)
     typer.echo(f"{said}; next: fvslam evaluate {folder}; fvslam plot {folder}")
+
+
+@app.command()
+def live(
+    where: Annotated[
+        str,
+        typer.Argument(
+            metavar="CAMERA",
+            help="Number of a camera, address of a stream (rtsp://...), or a folder that images come to.",
+        ),
+    ],
+    camera: Annotated[
+        Path | None, typer.Option(help="Its calibration; camera.yaml in the folder if not given.", metavar="FILE")
+    ] = None,
+    fov: Annotated[
+        float | None, typer.Option(help="Degrees that its images are wide, in place of a calibration.")
+    ] = None,
+    format: Annotated[str, typer.Option(help="tum, or json with covariance and status.")] = "tum",
+    out: Annotated[Path | None, typer.Option(help="Folder of the run; without it, none is written.")] = None,
+    patience: Annotated[
+        float | None, typer.Option(help="End when no image has come for so long.", metavar="SECONDS")
+    ] = None,
+    mode: ModeName = None,
+    preset: Preset = None,
+    config: ConfigFile = None,
+    settings: Settings = None,
+    seed: Seed = None,
+    camera_height: CameraHeight = None,
+    camera_pitch: CameraPitch = None,
+) -> None:
+    """Estimate the motion of a camera while it takes images, a line for each pose; Ctrl-C ends it.
+
+    Where images come faster than they are used, the newest is taken and the others are dropped.
+    """
+    from fvslam_graph.pipeline import run_live
+    from fvslam_graph.runs.pose_lines import pose_line
+    from fvslam_graph.sequences.live import open_live
+
+    line = pose_line(format)
+    chosen = _config(mode, preset, config, settings, seed)
+    source = open_live(
+        where,
+        calibration=camera,
+        fov=fov,
+        camera_height=camera_height,
+        camera_pitch=camera_pitch,
+        patience=patience,
+    )
+    typer.echo(f"waiting for images from {source.name}; Ctrl-C ends", err=True)
+    with source, _ended_by_signals(source.stop):
+        effective = _effective(chosen, source.sequence)
+        run_live(source, source.sequence, effective, out, lambda results: _printed(results, line, source.stop))
+    typer.echo(f"{source.name}: {source.summary()}", err=True)
 
 
 @app.command()
@@ -288,6 +345,46 @@ def demo(
     typer.echo(f"plots: {', '.join(str(file) for file in plots if file.suffix == '.png')}")
 
 
+def _config(
+    mode: str | None, preset: str | None, file: Path | None, settings: list[str] | None, seed: int | None
+) -> Config:
+    from fvslam_graph.core.config import load_config
+
+    given = [f"{name}={value}" for name, value in (("mode", mode), ("seed", seed)) if value is not None]
+    return load_config(preset, file, [*given, *(settings or [])])
+
+
+@contextmanager
+def _ended_by_signals(stop: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C and SIGTERM call `stop` within the block; the second one interrupts."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+
+    def end(*_: object) -> None:
+        for number in numbers:
+            signal.signal(number, signal.default_int_handler)
+        stop()
+
+    before = {number: signal.signal(number, end) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _printed(
+    results: Iterable[FrameResult], line: Callable[[FrameResult], str], stop: Callable[[], None]
+) -> Iterator[FrameResult]:
+    """Print a line for each result as soon as it is known; when nobody reads them any more, call `stop`."""
+    for result in results:
+        try:
+            print(line(result), flush=True)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in its buffer goes there
+            stop()
+        yield result
+
+
 def _run_study(study: Study, out: Path, workers: int | None, scheduler: str | None = None) -> None:
     from fvslam_graph.study.run import run_study
     from fvslam_graph.study.statistics import differences, verdicts
@@ -308,11 +405,9 @@ def _run(sequence: Sequence, config: Config, folder: Path) -> str:
     """Run, and say how many frames came out how."""
     from fvslam_graph.core.files import one_line
     from fvslam_graph.core.trajectory import Status
-    from fvslam_graph.pipeline import resolve_config, run_sequence
+    from fvslam_graph.pipeline import run_sequence
 
-    effective = resolve_config(config, sequence)
-    if effective != config:
-        typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
+    effective = _effective(config, sequence)
     run = run_sequence(sequence, effective, folder, lambda results: _progress(results, len(sequence), sequence.name))
     statuses = Counter(run.frames["status"].tolist())
     counts = ", ".join(f"{statuses[status]} {status}" for status in Status if statuses[status])
@@ -323,6 +418,16 @@ def _run(sequence: Sequence, config: Config, folder: Path) -> str:
             err=True,
         )
     return one_line(f"{len(sequence)} frames of {sequence.name}: {counts}")
+
+
+def _effective(config: Config, sequence: Sequence) -> Config:
+    """The settings that hold for a sequence; where that is not what was wanted, it says so."""
+    from fvslam_graph.pipeline import resolve_config
+
+    effective = resolve_config(config, sequence)
+    if effective != config:
+        typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
+    return effective
 
 
 def _progress(items: Iterable[_T], total: int, label: str) -> Iterator[_T]:

@@ -17,7 +17,7 @@ from fvslam_graph.estimator import FrameEstimator
 from fvslam_graph.evaluation import plots
 from fvslam_graph.runs.run_folder import read_run
 
-COMMANDS = ("run", "evaluate", "plot", "export", "compare", "study", "info", "demo")
+COMMANDS = ("run", "live", "evaluate", "plot", "export", "compare", "study", "info", "demo")
 HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib", "dask", "distributed"}
 
 

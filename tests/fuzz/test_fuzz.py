@@ -333,6 +333,9 @@ OPTIONS = {
     "run {root}/folder --out {out}": (
         "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic"
     ),
+    "live {root}/folder --patience 0.01 --out {out}": (
+        "camera fov format mode preset config set seed camera-height camera-pitch"
+    ),
     "info {root}/folder": "camera-height camera-pitch topic",
     "distortion {root}/folder": "frames stride camera-k1",
     "evaluate {root}/run/run": "reference align time-offset",
