@@ -8,7 +8,7 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from fvslam_graph.core.config import Config
     from fvslam_graph.core.frame_result import FrameResult
     from fvslam_graph.core.sequence import Sequence
+    from fvslam_graph.evaluation.viewer import Viewer
     from fvslam_graph.study.spec import Study
 
 app = typer.Typer(
@@ -65,6 +66,10 @@ Preset = Annotated[str | None, typer.Option(help="paper or tuned.", show_default
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
 ]
+Rerun = Annotated[
+    str | None,
+    typer.Option(help="Show it in Rerun: a file to write, or `viewer` to look at once.", metavar="FILE.rrd|viewer"),
+]
 Align = Annotated[str, typer.Option(help="none, origin, se3 or sim3.")]
 
 
@@ -86,6 +91,7 @@ def run(
     camera_pitch: CameraPitch = None,
     camera_k1: CameraK1 = None,
     topic: ImageTopic = None,
+    rerun: Rerun = None,
 ) -> None:
     """Run an estimator on a sequence and keep the result in a folder."""
     from fvslam_graph.core.files import file_name
@@ -103,7 +109,7 @@ def run(
         topic=topic,
     )
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{chosen.mode}-{chosen.preset}"
-    said = _run(sequence, chosen, folder)
+    said = _run(sequence, chosen, folder, rerun)
     typer.echo(f"{said}; next: fvslam evaluate {folder}; fvslam plot {folder}")
 
 
@@ -134,6 +140,7 @@ def live(
     seed: Seed = None,
     camera_height: CameraHeight = None,
     camera_pitch: CameraPitch = None,
+    rerun: Rerun = None,
 ) -> None:
     """Estimate the motion of a camera while it takes images, a line for each pose; Ctrl-C ends it.
 
@@ -154,9 +161,18 @@ def live(
         patience=patience,
     )
     typer.echo(f"waiting for images from {source.name}; Ctrl-C ends", err=True)
-    with source, _ended_by_signals(source.stop):
-        effective = _effective(chosen, source.sequence)
-        run_live(source, source.sequence, effective, out, lambda results: _printed(results, line, source.stop))
+    with source, _ended_by_signals(source.stop), ExitStack() as stack:
+        sequence = source.sequence
+        effective = _effective(chosen, sequence)
+        viewer = None if rerun is None else stack.enter_context(_viewer(rerun, sequence))
+
+        def watch(results: Iterable[FrameResult]) -> Iterable[FrameResult]:
+            printed = _printed(results, line, source.stop)
+            return printed if viewer is None else viewer.watch(printed)
+
+        run = run_live(source if viewer is None else viewer.seen(source), sequence, effective, out, watch)
+        if run is not None and viewer is not None:
+            viewer.end(run.smoothed)
     typer.echo(f"{source.name}: {source.summary()}", err=True)
 
 
@@ -191,6 +207,7 @@ def plot(
             help="Also show the landmarks of visual SLAM in these frames of the first run.", metavar="N,N,..."
         ),
     ] = None,
+    rerun: Rerun = None,
 ) -> None:
     """Plot trajectories, errors, speed, scale and inliers of one or several runs, as PNG and PDF."""
     from fvslam_graph.evaluation.alignment import Alignment
@@ -201,6 +218,11 @@ def plot(
     shown = plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]) if landmarks is not None else []
     for file in [*plot_runs([read_run(run) for run in runs], out or runs[0], Alignment.named(align)), *shown]:
         typer.echo(file)
+    if rerun is not None:
+        from fvslam_graph.evaluation.viewer import show_run
+
+        for note in show_run(read_run(runs[0]), runs[0], rerun):
+            typer.echo(note, err=True)
 
 
 @app.command()
@@ -401,14 +423,23 @@ def _run_study(study: Study, out: Path, workers: int | None, scheduler: str | No
         raise FvslamError("no run came to its end; the table says why")
 
 
-def _run(sequence: Sequence, config: Config, folder: Path) -> str:
+def _run(sequence: Sequence, config: Config, folder: Path, rerun: str | None = None) -> str:
     """Run, and say how many frames came out how."""
     from fvslam_graph.core.files import one_line
     from fvslam_graph.core.trajectory import Status
     from fvslam_graph.pipeline import run_sequence
 
+    def progress(results: Iterable[FrameResult]) -> Iterable[FrameResult]:
+        return _progress(results, len(sequence), sequence.name)
+
     effective = _effective(config, sequence)
-    run = run_sequence(sequence, effective, folder, lambda results: _progress(results, len(sequence), sequence.name))
+    if rerun is None:
+        run = run_sequence(sequence, effective, folder, progress)
+    else:
+        with _viewer(rerun, sequence) as viewer:
+            watched = viewer.watched(sequence)
+            run = run_sequence(watched, effective, folder, lambda results: viewer.watch(progress(results)))
+            viewer.end(run.smoothed)
     statuses = Counter(run.frames["status"].tolist())
     counts = ", ".join(f"{statuses[status]} {status}" for status in Status if statuses[status])
     if 2 * (statuses[Status.TRACKED] + statuses[Status.STATIC]) < len(sequence):
@@ -418,6 +449,12 @@ def _run(sequence: Sequence, config: Config, folder: Path) -> str:
             err=True,
         )
     return one_line(f"{len(sequence)} frames of {sequence.name}: {counts}")
+
+
+def _viewer(target: str, sequence: Sequence) -> Viewer:
+    from fvslam_graph.evaluation.viewer import Viewer
+
+    return Viewer(target, sequence.name, sequence.camera, sequence.ground_truth)
 
 
 def _effective(config: Config, sequence: Sequence) -> Config:

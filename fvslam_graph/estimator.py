@@ -18,7 +18,7 @@ from fvslam_graph.core.landmark_finder import LandmarkFinder
 from fvslam_graph.core.sequence import DuplicateFilter, Frame, Ground, Sequence
 from fvslam_graph.core.slam_estimate import LandmarkObservations, MatchOutcome, SlamEstimate
 from fvslam_graph.core.stopwatch import Stopwatch
-from fvslam_graph.core.tracks import FeatureTracker
+from fvslam_graph.core.tracks import FeatureTracker, Tracks
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.core.vo_estimate import VoEstimate
 from fvslam_graph.fusion.fusion import Fusion, RuleFusion, SlamAlone
@@ -124,7 +124,10 @@ class FrameEstimator:
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
         measures = _measures(config, odometry, slam)
-        return FrameResult(frame.index, frame.stamp, fusion.pose, status, previous, motion, measures, times, slam)
+        tracks = Tracks.none() if odometry is None else odometry.tracks
+        return FrameResult(
+            frame.index, frame.stamp, fusion.pose, status, previous, motion, measures, times, slam, tracks
+        )
 
     def through(self, sequence: Sequence) -> Iterator[FrameResult]:
         """Estimate all frames of a sequence, which are read one by one; the result of each as soon as it is known."""

@@ -56,7 +56,7 @@ def run_live(
     config: Config,
     out: Path | None = None,
     watch: Watch = lambda results: results,
-) -> None:
+) -> Run | None:
     """Run the configured mode over frames that come one by one, until there are no more.
 
     Args:
@@ -65,6 +65,9 @@ def run_live(
         config: As for `run_sequence`.
         out: Folder of the run; without it, nothing is written.
         watch: Takes what is estimated, frame by frame.
+
+    Returns:
+        What is in the folder; None without one.
 
     Raises:
         ConfigError: The scale source needs what a live camera does not have.
@@ -75,11 +78,12 @@ def run_live(
     results = watch(map(estimator.step, frames))
     if out is None:
         deque(results, maxlen=0)
-        return
+        return None
     metadata = run_metadata(sequence, config) | {"frames": None}
     with RunWriter(out, config, metadata, finish=estimator.finish) as writer:
         for result in results:
             writer.add(result)
+    return read_run(out)
 
 
 def resolve_config(config: Config, sequence: Sequence) -> Config:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.slam_estimate import SlamEstimate
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.trajectory import Status, Trajectory
 
 G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
@@ -61,6 +62,7 @@ class FrameResult:
         measures: Columns of frames.csv, such as tracks, inliers, scale (m per unit baseline), scale_sigma.
         times: Milliseconds by stage. Measures and stages have the same names in every frame of a run.
         slam: What visual SLAM says, where it ran on this frame.
+        tracks: The points that odometry's motion is by; none where odometry did not run.
     """
 
     index: int
@@ -72,3 +74,4 @@ class FrameResult:
     measures: Mapping[str, float]
     times: Mapping[str, float]
     slam: SlamEstimate | None = None
+    tracks: Tracks = field(default_factory=Tracks.none)
