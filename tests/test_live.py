@@ -1,5 +1,6 @@
 """`fvslam live`, on folders that are filled while it runs."""
 
+import importlib.util
 import json
 import shutil
 import signal
@@ -17,6 +18,7 @@ from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.sequences.live import open_live
 from fvslam_graph.sequences.open import open_sequence
 
+RERUN = importlib.util.find_spec("rerun") is not None
 START = 1_700_000_000
 
 
@@ -84,9 +86,10 @@ def test_formats_of_lines():
 
 @pytest.mark.parametrize("end", ["Ctrl-C", "nobody reads"])
 def test_the_command_ends_with_a_complete_run(recorder, tmp_path, end):
-    out = tmp_path / "run"
+    out, shown = tmp_path / "run", tmp_path / "run.rrd"
+    options = ["--format", "json", "--out", out, *(["--rerun", shown] if end == "Ctrl-C" and RERUN else [])]
     process = subprocess.Popen(
-        [sys.executable, "-m", "fvslam_graph", "live", str(recorder.folder), "--format", "json", "--out", str(out)],
+        [sys.executable, "-m", "fvslam_graph", "live", *map(str, [recorder.folder, *options])],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -109,6 +112,7 @@ def test_the_command_ends_with_a_complete_run(recorder, tmp_path, end):
     assert summary.startswith(f"flight: {frames} frames, 0 dropped; latency ")
     run = read_run(out)
     assert (run.info["status"], len(run.online)) == ("finished", frames)
+    assert shown.exists() == ("--rerun" in options)
     for index, line in enumerate(lines):
         assert (line["frame"], line["stamp"]) == (index, pytest.approx(START + index / 10, abs=1e-6))
         assert line["status"] == run.frames["status"][index]

@@ -122,6 +122,16 @@ def test_files_that_are_not_written(drive, tmp_path, name, error):
     assert (tmp_path / "there.rrd").read_bytes() == b"mine"
 
 
+def test_the_commands(drive, tmp_path, fvslam, undrawn):
+    pytest.importorskip("rerun")
+    assert fvslam("run", drive, "--out", tmp_path / "run", "--frames", "0:3", "--rerun", tmp_path / "a.rrd").code == 0
+    assert fvslam("plot", tmp_path / "run", "--rerun", tmp_path / "b.rrd").code == 0
+    for name in ("a.rrd", "b.rrd"):
+        assert Reopened(tmp_path / name).column(viewer.IMAGE, viewer.FRAME) == [0, 1, 2]
+    code, _, err = fvslam("run", drive, "--out", tmp_path / "other", "--rerun", tmp_path / "a.rrd")
+    assert code == 1 and "exists and is not overwritten" in err and not (tmp_path / "other").exists()
+
+
 def test_without_rerun_one_sentence_names_the_extra(drive, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(FvslamError, match=r"fvslam-graph\[rerun\]"):
