@@ -61,6 +61,7 @@ _OURS = (
     f"plot_landmarks_{6 * '[0-9]'}.png",
 )
 
+_NO_TRACKS = Tracks.none()
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
@@ -143,7 +144,7 @@ class RunWriter:
             self._frames.flush()
             if result.slam is not None:
                 self._write_landmarks(result.slam)
-        self._results.append(replace(result, slam=None, tracks=Tracks.none()))  # large, and not needed again
+        self._results.append(replace(result, slam=None, tracks=_NO_TRACKS, measures={}))  # large, and not needed again
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
