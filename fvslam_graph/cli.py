@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -24,7 +26,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from fvslam_graph.core.config import Config
+    from fvslam_graph.core.frame_result import FrameResult
     from fvslam_graph.core.sequence import Sequence
+    from fvslam_graph.evaluation.viewer import Viewer
     from fvslam_graph.study.spec import Study
 
 app = typer.Typer(
@@ -66,7 +70,7 @@ Gnss = Annotated[
 GnssSigma = Annotated[float | None, typer.Option(help="Standard deviation of fixes along each axis.", metavar="METRES")]
 CameraK1 = Annotated[float | None, typer.Option(help="Radial distortion left in the images; see `distortion`.")]
 ImageTopic = Annotated[str | None, typer.Option("--topic", help="Image topic of a ROS bag, if it holds several.")]
-Fov = Annotated[float | None, typer.Option(help="Degrees that a video without calibration is wide.")]
+Fov = Annotated[float | None, typer.Option(help="Degrees that images without calibration are wide.")]
 Telemetry = Annotated[
     Path | None,
     typer.Option(
@@ -78,9 +82,22 @@ TelemetryOffset = Annotated[
     float | None,
     typer.Option(help="Added to the times of the telemetry; estimated if not given.", metavar="SECONDS"),
 ]
+ModeName = Annotated[
+    str | None, typer.Option("--mode", help=f"{', '.join(Mode)}, or a path like mypkg:MyRule.", show_default="vo")
+]
+Seed = Annotated[int | None, typer.Option(help="Of all random numbers.", show_default="0")]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option(help="YAML file with settings that differ from the preset, or config.yaml of a run to repeat."),
+]
 PresetName = Annotated[Preset | None, typer.Option(help="Settings to start from.", show_default="tuned")]
+Scale = Annotated[ScaleSource | None, typer.Option(help="Where metres come from.", show_default="plane")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="One setting, e.g. scale.source=map. Repeatable.", metavar="K=V")
+]
+Rerun = Annotated[
+    str | None,
+    typer.Option(help="Show it in Rerun: a file to write, or `viewer` to look at once.", metavar="FILE.rrd|viewer"),
 ]
 Align = Annotated[Alignment, typer.Option(help="How the estimate is brought into the world of its reference.")]
 
@@ -117,18 +134,12 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run; runs/<sequence>-<mode>-<preset> if not given.")
     ] = None,
-    mode: Annotated[
-        str | None,
-        typer.Option(help=f"{', '.join(Mode)}, or a path like mypkg:MyRule.", show_default="vo"),
-    ] = None,
+    mode: ModeName = None,
     preset: PresetName = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(help="YAML file with settings that differ from the preset, or config.yaml of a run to repeat."),
-    ] = None,
-    scale: Annotated[ScaleSource | None, typer.Option(help="Where metres come from.", show_default="plane")] = None,
+    config: ConfigFile = None,
+    scale: Scale = None,
     settings: Settings = None,
-    seed: Annotated[int | None, typer.Option(help="Of all random numbers.", show_default="0")] = None,
+    seed: Seed = None,
     format: Format = None,
     frames: Frames = None,
     stride: Stride = 1,
@@ -144,15 +155,13 @@ def run(
     altimeter: Altimeter = None,
     gnss: Gnss = None,
     gnss_sigma: GnssSigma = None,
+    rerun: Rerun = None,
 ) -> None:
     """Run an estimator on a sequence and keep the result in a folder."""
-    from fvslam_graph.core.config import load_config
     from fvslam_graph.core.files import file_name
     from fvslam_graph.sequences.open import open_sequence
 
-    options = {"mode": mode, "scale.source": scale, "seed": seed}
-    given = [f"{name}={value}" for name, value in options.items() if value is not None]
-    chosen = load_config(preset, config, [*given, *(settings or [])])
+    chosen = _config(preset, config, {"mode": mode, "scale.source": scale, "seed": seed}, settings)
     sequence = open_sequence(
         path,
         format=format,
@@ -169,8 +178,72 @@ def run(
     )
     sequence = _with_sensors(sequence, ground_plane, altimeter, gnss, gnss_sigma, chosen.seed)
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{file_name(chosen.mode)}-{chosen.preset}"
-    said = _run(sequence, chosen, folder)
+    said = _run(sequence, chosen, folder, rerun)
     typer.echo(f"{said}; next: fvslam evaluate {folder}; fvslam plot {folder}")
+
+
+@app.command()
+def live(
+    where: Annotated[
+        str,
+        typer.Argument(
+            metavar="CAMERA",
+            help="Number of a camera, address of a stream (rtsp://...), or a folder that images come to.",
+        ),
+    ],
+    camera: Annotated[
+        Path | None, typer.Option(help="Its calibration; camera.yaml in the folder if not given.", metavar="FILE")
+    ] = None,
+    fov: Annotated[
+        float | None, typer.Option(help="Degrees that its images are wide, in place of a calibration.")
+    ] = None,
+    format: Annotated[str, typer.Option(help="tum, or json with covariance and status.")] = "tum",
+    out: Annotated[Path | None, typer.Option(help="Folder of the run; without it, none is written.")] = None,
+    patience: Annotated[
+        float | None, typer.Option(help="End when no image has come for so long.", metavar="SECONDS")
+    ] = None,
+    mode: ModeName = None,
+    preset: PresetName = None,
+    config: ConfigFile = None,
+    scale: Scale = None,
+    settings: Settings = None,
+    seed: Seed = None,
+    camera_height: CameraHeight = None,
+    camera_pitch: CameraPitch = None,
+    rerun: Rerun = None,
+) -> None:
+    """Estimate the motion of a camera while it takes images, a line for each pose; Ctrl-C ends it.
+
+    Where images come faster than they are used, the newest is taken and the others are dropped.
+    """
+    from fvslam_graph.pipeline import run_live
+    from fvslam_graph.runs.pose_lines import pose_line
+    from fvslam_graph.sequences.live import open_live
+
+    line = pose_line(format)
+    chosen = _config(preset, config, {"mode": mode, "scale.source": scale, "seed": seed}, settings)
+    source = open_live(
+        where,
+        calibration=camera,
+        fov=fov,
+        camera_height=camera_height,
+        camera_pitch=camera_pitch,
+        patience=patience,
+    )
+    typer.echo(f"waiting for images from {source.name}; Ctrl-C ends", err=True)
+    with source, _ended_by_signals(source.stop), ExitStack() as stack:
+        sequence = source.sequence
+        effective = _effective(chosen, sequence)
+        viewer = None if rerun is None else stack.enter_context(_viewer(rerun, sequence))
+
+        def watch(results: Iterable[FrameResult]) -> Iterable[FrameResult]:
+            printed = _printed(results, line, source.stop)
+            return printed if viewer is None else viewer.watch(printed)
+
+        run = run_live(source if viewer is None else viewer.seen(source), sequence, effective, out, watch)
+        if run is not None and viewer is not None:
+            viewer.end(run.smoothed)
+    typer.echo(f"{source.name}: {source.summary()}", err=True)
 
 
 @app.command()
@@ -204,6 +277,7 @@ def plot(
             help="Also show the landmarks of visual SLAM in these frames of the first run.", metavar="N,N,..."
         ),
     ] = None,
+    rerun: Rerun = None,
 ) -> None:
     """Plot trajectories, errors, speed, scale and inliers of one or several runs, as PNG and PDF."""
     from fvslam_graph.evaluation.landmark_plots import plot_landmarks
@@ -213,6 +287,11 @@ def plot(
     shown = plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]) if landmarks is not None else []
     for file in [*plot_runs([read_run(run) for run in runs], out or runs[0], align), *shown]:
         typer.echo(file)
+    if rerun is not None:
+        from fvslam_graph.evaluation.viewer import show_run
+
+        for note in show_run(read_run(runs[0]), runs[0], rerun):
+            typer.echo(note, err=True)
 
 
 @app.command()
@@ -418,6 +497,46 @@ def demo(
     typer.echo(f"plots: {', '.join(str(file) for file in plots if file.suffix == '.png')}")
 
 
+def _config(
+    preset: Preset | None, file: Path | None, options: Mapping[str, object], settings: list[str] | None
+) -> Config:
+    from fvslam_graph.core.config import load_config
+
+    given = [f"{name}={value}" for name, value in options.items() if value is not None]
+    return load_config(preset, file, [*given, *(settings or [])])
+
+
+@contextmanager
+def _ended_by_signals(stop: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C and SIGTERM call `stop` within the block; the second one interrupts."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+
+    def end(*_: object) -> None:
+        for number in numbers:
+            signal.signal(number, signal.default_int_handler)
+        stop()
+
+    before = {number: signal.signal(number, end) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _printed(
+    results: Iterable[FrameResult], line: Callable[[FrameResult], str], stop: Callable[[], None]
+) -> Iterator[FrameResult]:
+    """Print a line for each result as soon as it is known; when nobody reads them any more, call `stop`."""
+    for result in results:
+        try:
+            print(line(result), flush=True)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in its buffer goes there
+            stop()
+        yield result
+
+
 def _run_study(study: Study, out: Path, workers: int | None, scheduler: str | None = None) -> None:
     from fvslam_graph.study.run import run_study
     from fvslam_graph.study.statistics import differences, verdicts
@@ -466,16 +585,23 @@ def _with_sensors(
     return sequence.with_gnss(fixes, sigma)
 
 
-def _run(sequence: Sequence, config: Config, folder: Path) -> str:
+def _run(sequence: Sequence, config: Config, folder: Path, rerun: str | None = None) -> str:
     """Run, and say how many frames came out how."""
     from fvslam_graph.core.files import one_line
     from fvslam_graph.core.trajectory import Status
-    from fvslam_graph.pipeline import resolve_config, run_sequence
+    from fvslam_graph.pipeline import run_sequence
 
-    effective = resolve_config(config, sequence)
-    if effective != config:
-        typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
-    run = run_sequence(sequence, effective, folder, lambda results: _progress(results, len(sequence), sequence.name))
+    def progress(results: Iterable[FrameResult]) -> Iterable[FrameResult]:
+        return _progress(results, len(sequence), sequence.name)
+
+    effective = _effective(config, sequence)
+    if rerun is None:
+        run = run_sequence(sequence, effective, folder, progress)
+    else:
+        with _viewer(rerun, sequence) as viewer:
+            watched = viewer.watched(sequence)
+            run = run_sequence(watched, effective, folder, lambda results: viewer.watch(progress(results)))
+            viewer.end(run.smoothed)
     statuses = Counter(run.frames["status"].tolist())
     counts = ", ".join(f"{statuses[status]} {status}" for status in Status if statuses[status])
     if 2 * (statuses[Status.TRACKED] + statuses[Status.STATIC]) < len(sequence):
@@ -491,6 +617,22 @@ def _run(sequence: Sequence, config: Config, folder: Path) -> str:
             err=True,
         )
     return one_line(f"{len(sequence)} frames of {sequence.name}: {counts}")
+
+
+def _viewer(target: str, sequence: Sequence) -> Viewer:
+    from fvslam_graph.evaluation.viewer import Viewer
+
+    return Viewer(target, sequence.name, sequence.camera, sequence.ground_truth)
+
+
+def _effective(config: Config, sequence: Sequence) -> Config:
+    """The settings that hold for a sequence; where that is not what was wanted, it says so."""
+    from fvslam_graph.pipeline import resolve_config
+
+    effective = resolve_config(config, sequence)
+    if effective != config:
+        typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
+    return effective
 
 
 def _progress(items: Iterable[_T], total: int, label: str) -> Iterator[_T]:

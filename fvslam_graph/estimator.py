@@ -23,7 +23,7 @@ from fvslam_graph.core.plugins import Kind
 from fvslam_graph.core.sequence import DuplicateFilter, Frame, Ground, Sequence
 from fvslam_graph.core.slam_estimate import LandmarkObservations, MatchOutcome, SlamEstimate
 from fvslam_graph.core.stopwatch import Stopwatch
-from fvslam_graph.core.tracks import FeatureTracker
+from fvslam_graph.core.tracks import FeatureTracker, Tracks
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.core.vo_estimate import VoEstimate
 from fvslam_graph.fusion.fusion import Fusion, RuleFusion, SlamAlone
@@ -135,8 +135,9 @@ class FrameEstimator:
         times = dict.fromkeys(stages(config), 0.0) | stopwatch.times
         times |= (odometry.times if odometry else {}) | (slam.times if slam else {})
         measures = _measures(config, odometry, slam)
+        tracks = Tracks.none() if odometry is None else odometry.tracks
         return FrameResult(
-            frame.index, frame.stamp, fusion.pose, status, previous, motion, measures, times, slam, fusion.enu
+            frame.index, frame.stamp, fusion.pose, status, previous, motion, measures, times, slam, fusion.enu, tracks
         )
 
     def finish(self) -> Ending | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from fvslam_graph.core.modes import outside_mode
 from fvslam_graph.core.outside import method_results
 from fvslam_graph.core.plugins import Kind, Plugin, find
 from fvslam_graph.core.sensors import SensorKind
-from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.core.sequence import Frame, Sequence
 from fvslam_graph.estimator import frame_estimator, through
 from fvslam_graph.runs.results import Run, collect
 from fvslam_graph.runs.run_folder import RunWriter, read_run
@@ -60,6 +61,42 @@ def run_sequence(
     if out is None:
         return collect(results, config, metadata, sequence.ground_truth, gnss, finish)
     with RunWriter(out, config, metadata, sequence.ground_truth, gnss, finish) as writer:
+        for result in results:
+            writer.add(result)
+    return read_run(out)
+
+
+def run_live(
+    frames: Iterable[Frame],
+    sequence: Sequence,
+    config: Config,
+    out: Path | None = None,
+    watch: Watch = lambda results: results,
+) -> Run | None:
+    """Run the configured mode over frames that come one by one, until there are no more.
+
+    Args:
+        frames: In the order of their stamps, numbered from 0.
+        sequence: What is known of them beforehand: camera and ground. Its own frames are not read.
+        config: As for `run_sequence`.
+        out: Folder of the run; without it, nothing is written.
+        watch: Takes what is estimated, frame by frame.
+
+    Returns:
+        What is in the folder; None without one.
+
+    Raises:
+        ConfigError: The scale source needs what a live camera does not have.
+        ResultsError: As by `run_sequence`.
+    """
+    config = resolve_config(config, sequence)
+    estimator = frame_estimator(sequence, config)
+    results = watch(map(estimator.step, frames))
+    if out is None:
+        deque(results, maxlen=0)
+        return None
+    metadata = run_metadata(sequence, config) | {"frames": None}
+    with RunWriter(out, config, metadata, finish=estimator.finish) as writer:
         for result in results:
             writer.add(result)
     return read_run(out)

@@ -18,7 +18,7 @@ from fvslam_graph.core.files import file_name
 from fvslam_graph.evaluation import plots
 from fvslam_graph.runs.run_folder import read_run
 
-COMMANDS = ("run", "evaluate", "plot", "export", "compare", "study", "info", "calibrate", "demo")
+COMMANDS = ("run", "live", "evaluate", "plot", "export", "compare", "study", "info", "calibrate", "demo")
 HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib", "dask", "distributed"}
 
 

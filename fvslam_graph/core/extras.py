@@ -10,6 +10,7 @@ LIBRARIES = {
     "bags": ("rosbags",),
     "eval": ("evo", "matplotlib"),
     "geo": ("pymap3d",),
+    "rerun": ("rerun",),
     "study": ("dask", "distributed", "evo", "jinja2", "matplotlib", "pandas", "pyarrow"),
     "test": ("evo", "matplotlib", "pytest"),
 }

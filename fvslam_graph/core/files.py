@@ -45,8 +45,13 @@ def write_file(path: Path, content: str | bytes) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Replace a JSON file; numbers that are not finite become null, since JSON has no word for them."""
-    write_file(path, json.dumps(_plain(data), indent=2) + "\n")
+    """Replace a JSON file by `json_text`."""
+    write_file(path, json_text(data, indent=2) + "\n")
+
+
+def json_text(data: Any, indent: int | None = None) -> str:
+    """Data as JSON; numbers that are not finite become null, since JSON has no word for them."""
+    return json.dumps(_plain(data), indent=indent)
 
 
 def file_name(label: str) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.slam_estimate import SlamEstimate
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.trajectory import Status, Trajectory
 
 G2O, LANDMARKS_PLY, FACTORS, VALUES = "graph.g2o", "landmarks.ply", "graph.gtsam", "values.gtsam"
@@ -80,6 +81,7 @@ class FrameResult:
         times: Milliseconds by stage. Measures and stages have the same names in every frame of a run.
         slam: What visual SLAM says, where it ran on this frame.
         enu: enu_T_camera, east, north, up from the first fix of a receiver; None before fixes tell it.
+        tracks: The points that odometry's motion is by; none where odometry did not run.
     """
 
     index: int
@@ -92,3 +94,4 @@ class FrameResult:
     times: Mapping[str, float] = field(default_factory=dict)
     slam: SlamEstimate | None = None
     enu: GaussianPose | None = None
+    tracks: Tracks = field(default_factory=Tracks.none)

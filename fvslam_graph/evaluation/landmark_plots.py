@@ -12,9 +12,11 @@ from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.core.extras import require
 from fvslam_graph.core.files import writing
 from fvslam_graph.core.gates import chi2_gate
+from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.evaluation.plots import STYLE, legible, level_axes, save
-from fvslam_graph.runs.landmark_table import NEW, read_landmarks
+from fvslam_graph.runs.landmark_table import NEW, landmark_points, read_landmarks
 from fvslam_graph.runs.ownership import INFO, claim_files
+from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import LANDMARKS, read_run
 from fvslam_graph.sequences.open import open_sequence
 
@@ -43,15 +45,10 @@ def plot_landmarks(folder: Path, frames: list[int], out: Path) -> list[Path]:
     from matplotlib.figure import Figure
 
     run = read_run(folder)
-    table, source = folder / LANDMARKS, run.info.get("source")
+    table = folder / LANDMARKS
     if not table.exists():
         raise ResultsError(f"{folder} has no landmarks to show; run it with visual SLAM, as by --mode vslam")
-    if source is None:
-        raise ResultsError(f"{folder / INFO} does not know the recording, which was changed after it was opened")
-    try:
-        sequence = open_sequence(**source)
-    except (TypeError, ValueError, AttributeError):
-        raise ResultsError(f"{folder / INFO} does not say how to open the recording; run it again") from None
+    sequence = recording_of(folder, run)
     down = np.array(run.info.get("down") or (0.0, 1.0, 0.0))
     files = []
     with writing(out), matplotlib.rc_context(STYLE):
@@ -76,6 +73,21 @@ def plot_landmarks(folder: Path, frames: list[int], out: Path) -> list[Path]:
             figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
             files += save(figure, out / f"plot_landmarks_{frame:06d}", (".png",))
     return files
+
+
+def recording_of(folder: Path, run: Run) -> Sequence:
+    """The recording that a run is of, opened again where it was when it ran.
+
+    Raises:
+        FvslamError: It is not there any more, or the run does not know it.
+    """
+    source = run.info.get("source")
+    if source is None:
+        raise ResultsError(f"{folder / INFO} does not know the recording, which was changed after it was opened")
+    try:
+        return open_sequence(**source)
+    except (TypeError, ValueError, AttributeError):
+        raise ResultsError(f"{folder / INFO} does not say how to open the recording; run it again") from None
 
 
 def _draw_image(axes: Axes, landmarks: dict[str, NDArray[Any]], size: tuple[int, int]) -> None:
@@ -105,9 +117,7 @@ def _draw_map(axes: Axes, landmarks: dict[str, NDArray[Any]], level: NDArray[np.
     """Landmarks from above with their uncertainty; the camera is at the origin."""
     from matplotlib.patches import Ellipse
 
-    points = np.column_stack([landmarks[name] for name in "xyz"])
-    entries = np.column_stack([landmarks[f"cov_{name}"] for name in ("xx", "xy", "xz", "yy", "yz", "zz")])
-    covariances = entries[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    points, covariances = landmark_points(landmarks)
     ground = level[:2] @ points.T
     spreads = level[:2] @ covariances @ level[:2].T
     for outcome, (colour, _) in OUTCOMES.items():

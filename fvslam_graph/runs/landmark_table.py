@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +22,10 @@ _NUMBERS = (
 LANDMARK_COLUMNS = ("frame", "id", "outcome", "age", *_NUMBERS)
 
 
-def landmark_rows(slam: SlamEstimate) -> str:
-    """The lines of a frame: pixels of what was looked for, then positions (m, in the camera) of what is kept.
+def landmark_columns(slam: SlamEstimate) -> dict[str, NDArray[np.generic]]:
+    """The columns of a frame but `frame`: what was looked for (pixels), and what is kept (m, in the camera).
 
-    A landmark that was not found has no pixel, one that was dropped no position; these cells are empty.
+    A landmark that was not found has no pixel, one that was dropped no position: NaN, and -1 as its age.
     """
     matches, kept = slam.matches, slam.landmarks
     ids = np.union1d(matches.ids, kept.ids)
@@ -39,11 +41,25 @@ def landmark_rows(slam: SlamEstimate) -> str:
     rows = np.searchsorted(ids, kept.ids)
     values[rows, 7:] = np.hstack([kept.points, kept.covariances.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]])
     ages[rows] = kept.ages
+    return {"id": ids, "outcome": outcomes, "age": ages} | dict(zip(_NUMBERS, values.T, strict=True))
+
+
+def landmark_rows(slam: SlamEstimate) -> str:
+    """The lines of a frame; cells are empty where `landmark_columns` has no number."""
+    columns = landmark_columns(slam)
+    values = np.column_stack([columns[name] for name in _NUMBERS])
     lines = []
-    for identity, outcome, age, numbers in zip(ids, outcomes, ages, values, strict=True):
+    for identity, outcome, age, numbers in zip(*(columns[n] for n in ("id", "outcome", "age")), values, strict=True):
         cells = ("" if np.isnan(number) else f"{number:.6g}" for number in numbers)
         lines.append(",".join((str(slam.index), str(identity), outcome, "" if age < 0 else str(age), *cells)) + "\n")
     return "".join(lines)
+
+
+def landmark_points(columns: dict[str, NDArray[Any]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions in the camera, (N, 3), m, and their covariances, (N, 3, 3); NaN where there is none."""
+    points = np.column_stack([columns[name] for name in "xyz"])
+    entries = np.column_stack([columns[f"cov_{name}"] for name in ("xx", "xy", "xz", "yy", "yz", "zz")])
+    return points, entries[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
 
 
 @dataclass(frozen=True)
@@ -92,9 +108,23 @@ def read_landmarks(path: Path, frame: int) -> dict[str, NDArray[np.generic]]:
         ValueError: The file is damaged.
     """
     lines = read_text(path, ResultsError, OWN_MAX_SIZE).splitlines()[1:]
-    cells = np.array([line.split(",") for line in lines if line.startswith(f"{frame},")]).reshape(
-        -1, len(LANDMARK_COLUMNS)
-    )
+    return _columns([line for line in lines if line.startswith(f"{frame},")])
+
+
+def read_landmarks_by_frame(path: Path) -> dict[int, dict[str, NDArray[np.generic]]]:
+    """The columns of each frame, as by `read_landmarks`; the last line is left out where it is not whole.
+
+    Raises:
+        ValueError: The file is damaged.
+    """
+    text = read_text(path, ResultsError, OWN_MAX_SIZE)
+    lines = text[: text.rfind("\n") + 1].splitlines()[1:]
+    frames = groupby(lines, key=lambda line: int(line.partition(",")[0]))
+    return {frame: _columns(list(rows)) for frame, rows in frames}
+
+
+def _columns(lines: list[str]) -> dict[str, NDArray[np.generic]]:
+    cells = np.array([line.split(",") for line in lines]).reshape(-1, len(LANDMARK_COLUMNS))
     columns: dict[str, NDArray[np.generic]] = {"outcome": cells[:, LANDMARK_COLUMNS.index("outcome")]}
     for name in ("id", *_NUMBERS):
         column = cells[:, LANDMARK_COLUMNS.index(name)]

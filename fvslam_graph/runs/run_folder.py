@@ -30,6 +30,7 @@ from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES, 
 from fvslam_graph.core.sensors import SensorSeries
 from fvslam_graph.core.slam_estimate import SlamEstimate
 from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.trajectory import Status, Trajectory, kitti_line, tum_line
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
@@ -60,6 +61,7 @@ _OURS = (
     f"plot_landmarks_{6 * '[0-9]'}.png",
 )
 
+_NO_TRACKS = Tracks.none()
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
@@ -142,7 +144,7 @@ class RunWriter:
             self._frames.flush()
             if result.slam is not None:
                 self._write_landmarks(result.slam)
-        self._results.append(replace(result, slam=None))  # on disk, and large
+        self._results.append(replace(result, slam=None, tracks=_NO_TRACKS, measures={}))  # large, and not needed again
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None

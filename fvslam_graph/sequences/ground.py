@@ -62,29 +62,41 @@ def kitti_ground(frames: int) -> Ground:
 
 
 def override_ground(sequence: Sequence, height: float | None, pitch: float | None) -> Sequence:
-    """The sequence with the camera height (metres) or pitch (radians, positive: nose down) that the user gives.
+    """The sequence with what the user gives of the ground, as `given_ground` takes it."""
+    return replace(sequence, ground=given_ground(sequence.name, sequence.ground, len(sequence), height, pitch))
+
+
+def given_ground(
+    name: str, known: Ground | None, frames: int, height: float | None, pitch: float | None
+) -> Ground | None:
+    """The ground that is known of a recording, with the camera height or pitch that the user gives.
+
+    Args:
+        name: Of the recording, for the error message.
+        known: What it knows itself.
+        frames: How many it has.
+        height: Metres; None where the user gives none.
+        pitch: Radians, positive: nose down; likewise.
 
     Raises:
         SequenceError: A value out of range, or a pitch alone where no height is known.
     """
-    if height is None and pitch is None:
-        return sequence
     if height is not None and not 0 < height < np.inf:
         raise SequenceError(f"the camera height must be a positive number of metres, not {height:g}")
     if pitch is not None and not abs(pitch) <= np.pi / 2:
         raise SequenceError(f"the camera pitch must be between -pi/2 and pi/2 radians, not {pitch:g}")
 
-    ground = sequence.ground
+    ground = known
     if height is not None:
-        heights = np.full(len(sequence), float(height))
-        known = ground or level_ground(heights, UAV_TILT, "given")
-        ground = replace(known, heights=heights, height_sigma=0.0, source="given")
-    if ground is None:
-        raise SequenceError(f"{sequence.name} has no ground height: give the camera height along with its pitch")
+        heights = np.full(frames, float(height))
+        ground = replace(known or level_ground(heights, UAV_TILT, "given"), heights=heights)
+        ground = replace(ground, height_sigma=0.0, source="given")
     if pitch is not None:
+        if ground is None:
+            raise SequenceError(f"{name} has no ground height: give the camera height along with its pitch")
         normal = np.array([0.0, np.cos(pitch), np.sin(pitch)])
         ground = replace(ground, normal=normal, normal_sigma=min(ground.normal_sigma, GIVEN_TILT))
-    return replace(sequence, ground=ground)
+    return ground
 
 
 def with_ground_plane(sequence: Sequence, plane: Iterable[float]) -> Sequence:

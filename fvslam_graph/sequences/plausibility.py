@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -63,6 +64,17 @@ def make_camera(
     except CameraError as error:
         raise CameraError(f"{path}: {error}") from None
     return camera
+
+
+def camera_of_view(size: Sequence[int], fov: float) -> Camera:
+    """A camera without distortion whose images of `size` (width, height) are `fov` degrees wide; raises CameraError."""
+    if not MIN_VIEW <= fov <= MAX_VIEW:
+        raise CameraError(
+            f"the field of view must be {MIN_VIEW:g} to {MAX_VIEW:g} degrees from side to side, not {fov:g}"
+        )
+    width, height = size
+    focal = width / 2 / math.tan(math.radians(fov) / 2)
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def _distortion(model: str, given: Sequence[float] | None) -> tuple[Distortion, Sequence[float]]:

@@ -335,6 +335,9 @@ OPTIONS = {
         "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic "
         "fov telemetry telemetry-offset ground-plane altimeter gnss gnss-sigma"
     ),
+    "live {root}/folder --patience 0.01 --out {out}": (
+        "camera fov format mode preset config set seed camera-height camera-pitch"
+    ),
     "info {root}/folder": "camera-height camera-pitch topic fov telemetry telemetry-offset",
     "distortion {root}/folder": "frames stride camera-k1",
     "calibrate {root}/folder/images --checkerboard 5x4 --square 0.1": "checkerboard square charuco marker out",
