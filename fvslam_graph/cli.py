@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import logging
 import signal
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -116,7 +118,8 @@ def evaluate(
     from fvslam_graph.evaluation.report import runs_table, summary_table
     from fvslam_graph.evaluation.runs import evaluation_of
 
-    evaluation = evaluation_of(estimate, reference, align, time_offset)
+    with _telling("fvslam_graph.evaluation"):
+        evaluation = evaluation_of(estimate, reference, align, time_offset)
     if estimate.is_dir():
         evaluation.write(estimate)
         _show(runs_table([estimate]).rich(across=True))
@@ -333,6 +336,29 @@ def _progress(items: Iterable[_T], total: int, label: str) -> Iterator[_T]:
 
     console = Console(stderr=True)
     return iter(track(items, escape(label), total, console=console, disable=not console.is_terminal, transient=True))
+
+
+@contextmanager
+def _telling(package: str) -> Iterator[None]:
+    """On a terminal, show what a package logs as it goes on."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield
+        return
+    log = logging.getLogger(package)
+    with console.status("") as status:
+        handler = logging.Handler()
+        handler.emit = lambda record: status.update(escape(record.getMessage()))  # type: ignore[method-assign]
+        log.addHandler(handler)
+        log.setLevel(logging.INFO)
+        try:
+            yield
+        finally:
+            log.removeHandler(handler)
+            log.setLevel(logging.NOTSET)
 
 
 def _show(table: Table) -> None:

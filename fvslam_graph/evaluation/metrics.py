@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,15 +18,17 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import SAME_INSTANT, TrajectoryPairs, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
 from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
+from fvslam_graph.evaluation.pose_errors import PoseErrors, Similarity, aligned
 from fvslam_graph.runs.results import Relatives
 from fvslam_graph.runs.run_folder import METRICS_FILE, REFERENCE
+
+_log = logging.getLogger(__name__)
 
 MAX_COORDINATE = 1e9  # m, beyond the moon; squares of errors stay exact enough
 MIN_MATCHED_SHARE = 0.5  # of the poses that could have a reference; fewer are worth a note
 
 if TYPE_CHECKING:
     from evo.core.result import Result
-    from evo.core.trajectory import PoseTrajectory3D
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,7 @@ def evaluate(
     Raises:
         TrajectoryError: Fewer than two poses have a reference, or positions are too far away for numbers.
     """
+    _log.info("pairing %d poses with %d of the reference", len(estimate), len(reference))
     pairs = associate(estimate, reference, time_offset)
     _require_near("estimate", pairs.estimate)
     _require_near("reference", pairs.reference)
@@ -149,19 +153,19 @@ def evaluate(
         notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
     if (matched := len(pairs.indices)) < MIN_MATCHED_SHARE * min(len(estimate), len(reference)):
         notes.append(f"only {matched} of {len(estimate)} poses have a reference: do both have the same clock and rate?")
-    scale = _scale(pairs)
-    determined = not math.isnan(scale)
-    if not determined and align in (Alignment.SE3, Alignment.SIM3):
+    _log.info("aligning %d poses", len(pairs.indices))
+    fit = Similarity.between(pairs)
+    scale = math.nan if fit is None else fit.scale
+    if fit is None and align in (Alignment.SE3, Alignment.SIM3):
         notes.append(f"the motion does not determine an alignment by {align}: aligned at the origin")
         align = Alignment.ORIGIN
 
-    errors = _errors(pairs, align, name)
+    _log.info("comparing %d poses", len(pairs.indices))
+    errors = PoseErrors(pairs, align, *aligned(pairs, align, fit), name).results()
     if "rpe_1m_trans" not in errors:
         notes.append("no relative pose error over 1 m: the path is shorter")
 
-    matrices = pairs.estimate.matrices
-    scaled = matrices.copy()
-    scaled[:, :3, 3] *= scale
+    poses, truth = pairs.estimate.matrices, pairs.reference.matrices
     if (length := pairs.reference.path_length) <= LENGTHS[0]:
         notes.append(f"no t_rel and r_rel: the path of {length:.1f} m is shorter than {LENGTHS[0]:.0f} m")
 
@@ -178,10 +182,10 @@ def evaluate(
         poses=len(estimate),
         frames=frames,
         scale=scale,
-        ape_scaled=_ape_scaled(pairs, name) if determined else math.nan,
+        ape_scaled=math.nan if fit is None else _ape_scaled(pairs, fit),
         errors=errors,
-        drift=drift(matrices, pairs.reference.matrices),
-        drift_scaled=drift(scaled, pairs.reference.matrices),
+        drift=drift(poses, truth),
+        drift_scaled=drift(poses, truth, scale),
         consistency=consistent,
         notes=tuple(notes),
     )
@@ -195,51 +199,7 @@ def _require_near(name: str, trajectory: Trajectory) -> None:
         )
 
 
-def _scale(pairs: TrajectoryPairs) -> float:
-    """Umeyama's scale factor; NaN for degenerate motions."""
-    from evo.core.geometry import GeometryException, umeyama_alignment
-
-    try:
-        _, _, scale = umeyama_alignment(pairs.estimate.positions.T, pairs.reference.positions.T, with_scale=True)
-    except GeometryException:
-        return math.nan
-    return float(scale)
-
-
-def _ape_scaled(pairs: TrajectoryPairs, name: str) -> float:
-    from evo.core.metrics import PoseRelation
-    from evo.main_ape import ape
-
-    result = ape(*_evo_pair(pairs, name), PoseRelation.translation_part, **Alignment.SIM3.options)
-    return float(result.stats["rmse"])
-
-
-def _errors(pairs: TrajectoryPairs, align: Alignment, name: str) -> dict[str, Result]:
-    from evo.core.filters import FilterException
-    from evo.core.metrics import PoseRelation, Unit
-    from evo.main_ape import ape
-    from evo.main_rpe import rpe
-
-    errors = {}
-    for part, relation in (("trans", PoseRelation.translation_part), ("rot", PoseRelation.rotation_angle_deg)):
-        errors[f"ape_{part}"] = ape(*_evo_pair(pairs, name), relation, **align.options)
-        for key, unit in (("rpe", Unit.frames), ("rpe_1m", Unit.meters)):
-            try:
-                errors[f"{key}_{part}"] = rpe(
-                    *_evo_pair(pairs, name),
-                    relation,
-                    delta=1.0,
-                    delta_unit=unit,
-                    pairs_from_reference=True,
-                    **align.options,
-                )
-            except FilterException:  # no pair of poses is that far apart
-                continue
-    return errors
-
-
-def _evo_pair(pairs: TrajectoryPairs, name: str) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:
-    """Fresh copies, since evo aligns in place; the names label its results."""
-    reference, estimate = pairs.reference.to_evo(), pairs.estimate.to_evo()
-    reference.name, estimate.name = "reference", name
-    return reference, estimate
+def _ape_scaled(pairs: TrajectoryPairs, fit: Similarity) -> float:
+    poses, _ = aligned(pairs, Alignment.SIM3, fit)
+    squares = np.sum((poses[:, :3, 3] - pairs.reference.positions) ** 2, axis=1)
+    return math.sqrt(squares.mean())

@@ -49,7 +49,7 @@ def evaluation_of(
     align, name = Alignment.named(align), "estimate"
     if isinstance(estimated, str | Path):
         path = Path(estimated)
-        estimated, name = (read_run(path) if is_folder(path) else Trajectory.read(path)), path.stem
+        estimated, name = read_run(path) if is_folder(path) else load_trajectory(path), path.stem
     if isinstance(reference, str | Path):
         reference = load_trajectory(Path(reference))
     if isinstance(estimated, Trajectory):
