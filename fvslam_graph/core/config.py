@@ -94,6 +94,20 @@ class Mode(StrEnum):
     INTERSECTION = "intersection"  # both, fused by covariance intersection
     GRAPH = "graph"  # the measurements of both in one factor graph
 
+    def reads(self, setting: str) -> bool:
+        """Whether the outcome depends on a setting, or on a group of them: "graph.lag", or "graph"."""
+        return any(f"{setting}.".startswith(f"{part}.") or part.startswith(f"{setting}.") for part in _READ[self])
+
+
+_ODOMETRY = ("features", "vo", "scale")
+_READ: dict[Mode, tuple[str, ...]] = {  # the groups, and the settings of groups that a mode reads in part
+    Mode.VO: _ODOMETRY,
+    Mode.VSLAM: (*_ODOMETRY, "slam"),
+    Mode.AVERAGE: (*_ODOMETRY, "slam", "fusion.weight", "fusion.geodesic"),
+    Mode.INTERSECTION: (*_ODOMETRY, "slam", "fusion.criterion"),
+    Mode.GRAPH: (*_ODOMETRY, "slam", "graph"),
+}
+
 
 class SlamSettings(_Group):
     """EKF visual SLAM."""

@@ -39,6 +39,12 @@ class TrajectoryPairs:
     reference: Trajectory
     interpolated: bool
 
+    def part(self, rows: NDArray[np.int64]) -> TrajectoryPairs:
+        """Some of the pairs, by their numbers in increasing order."""
+        return TrajectoryPairs(
+            self.indices[rows], _rows(self.estimate, rows), _rows(self.reference, rows), self.interpolated
+        )
+
 
 def associate(estimate: Trajectory, reference: Trajectory, time_offset: float = 0.0) -> TrajectoryPairs:
     """Pair the poses by their stamps, or row by row where one has none (KITTI files).

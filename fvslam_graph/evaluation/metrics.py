@@ -25,7 +25,7 @@ from fvslam_graph.runs.run_folder import METRICS_FILE, REFERENCE
 _log = logging.getLogger(__name__)
 
 MAX_COORDINATE = 1e9  # m, beyond the moon; squares of errors stay exact enough
-MIN_MATCHED_SHARE = 0.5  # of the poses that could have a reference; fewer are worth a note
+MIN_ASSOCIATED_SHARE = 0.5  # of the poses that could have a reference; fewer are worth a note
 
 if TYPE_CHECKING:
     from evo.core.result import Result
@@ -80,7 +80,7 @@ class Evaluation:
             "association": "reference interpolated" if self.pairs.interpolated else "nearest stamps",
             "poses": self.poses,
             "frames": self.frames,
-            "matched": len(self.pairs.indices),
+            "associated": len(self.pairs.indices),
             "coverage": self.coverage,
             "scale": self.scale,
             "ape_scaled": self.ape_scaled,
@@ -151,8 +151,10 @@ def evaluate(
     apart = float(np.abs(pairs.estimate.stamps - pairs.reference.stamps).max())
     if apart > SAME_INSTANT:
         notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
-    if (matched := len(pairs.indices)) < MIN_MATCHED_SHARE * min(len(estimate), len(reference)):
-        notes.append(f"only {matched} of {len(estimate)} poses have a reference: do both have the same clock and rate?")
+    if (associated := len(pairs.indices)) < MIN_ASSOCIATED_SHARE * min(len(estimate), len(reference)):
+        notes.append(
+            f"only {associated} of {len(estimate)} poses have a reference: do both have the same clock and rate?"
+        )
     _log.info("aligning %d poses", len(pairs.indices))
     fit = Similarity.between(pairs)
     scale = math.nan if fit is None else fit.scale

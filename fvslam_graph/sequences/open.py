@@ -94,6 +94,16 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
         return ()
 
 
+def sequence_name(path: str | Path) -> str:
+    """The name that a recording has everywhere, by its path alone: that of its folder, or of its file."""
+    if str(path).startswith("synthetic:"):
+        return str(path)
+    path = Path(path).expanduser().absolute()
+    if path.name == "mav0":  # of EuRoC's recordings
+        return path.parent.name
+    return path.name if path.is_dir() else path.stem
+
+
 def _synthetic(name: str | Path, topic: str | None) -> Sequence:
     if topic is not None:
         raise SequenceError(f"{name} is no bag, and has no topic '{topic}'")
@@ -115,7 +125,8 @@ def _recorded(path: Path, wanted: str | None, topic: str | None) -> Sequence:
     except (OSError, RuntimeError) as error:  # a folder without permission, a disk that is gone, nobody's home
         raise SequenceError(f"{path} cannot be read: {error}") from None
     left_out = sequence.ground_truth.notes if sequence.ground_truth else ()
-    return replace(sequence, notes=sequence.notes + doubts(sequence.camera) + left_out)
+    notes = sequence.notes + doubts(sequence.camera) + left_out
+    return replace(sequence, name=sequence_name(path), notes=notes)
 
 
 def _find_format(path: Path, wanted: str | None) -> Format:

@@ -30,9 +30,11 @@ from fvslam_graph.runs.ownership import Kind, claimed, kind_of
 from fvslam_graph.runs.provenance import forget_peak_memory, provenance
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
-from fvslam_graph.sequences.open import open_sequence
+from fvslam_graph.sequences.open import open_sequence, sequence_name
 
 MAX_RENDERED_SIZE = 2e9  # bytes of rendered images
+
+VARIANT_SEPARATOR = ", "  # between the settings of a variant
 
 Row = dict[str, Any]
 """One run as numbers and words, by column; see `row_of`."""
@@ -56,7 +58,7 @@ class Source(BaseModel):
     @property
     def label(self) -> str:
         """The name in tables, also where the recording cannot be opened."""
-        return self.name or (self.path if self.path.startswith("synthetic:") else Path(self.path).absolute().name)
+        return self.name or sequence_name(self.path)
 
     def open(self) -> Sequence:
         """The sequence; raises as `open_sequence` does."""

@@ -16,7 +16,7 @@ from fvslam_graph.core.files import file_name
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.jobs import Job, Source
+from fvslam_graph.study.jobs import VARIANT_SEPARATOR, Job, Source
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -100,27 +100,41 @@ class Study(BaseModel):
         return self.model_copy(update={"sequences": sequences, "external": external})
 
     def jobs(self) -> list[Job]:
-        """All runs, sequence by sequence.
+        """All runs, sequence by sequence; what a mode does not read makes no other runs of it.
 
         Raises:
-            ConfigError: There is no such setting, or a value is out of its range.
+            ConfigError: There is no such setting, a value is out of its range, or none of the modes reads it.
         """
-        fixed = [_setting(name, value) for name, value in self.settings.items() if not isinstance(value, list)]
-        varied = [
-            [_setting(name, value) for value in values]
-            for name, values in self.settings.items()
-            if isinstance(values, list)
+        for name in self.settings:
+            if not any(mode.reads(name) for mode in self.modes):
+                self._checked({name: value} for value in self._values(name))
+                raise ConfigError(f"none of the modes {', '.join(self.modes)} reads the setting '{name}'; leave it out")
+        combinations = [
+            dict(zip(self.settings, values, strict=True))
+            for values in itertools.product(*(self._values(name) for name in self.settings))
         ]
-        return [
-            Job(
-                source,
-                load_config(preset, settings=[f"mode={mode}", f"seed={seed}", *fixed, *variant]),
-                ", ".join(variant),
+        self._checked(combinations)
+        jobs = (
+            self._job(source, preset, combination, mode, seed)
+            for source, preset, combination, mode, seed in itertools.product(
+                self.sequences, self.presets, combinations, self.modes, self.seeds
             )
-            for source, preset, variant, mode, seed in itertools.product(
-                self.sequences, self.presets, itertools.product(*varied), self.modes, self.seeds
-            )
-        ]
+        )
+        return list(dict.fromkeys(jobs))
+
+    def _values(self, name: str) -> list[Any]:
+        values = self.settings[name]
+        return values if isinstance(values, list) else [values]
+
+    def _checked(self, combinations: Iterable[dict[str, Any]]) -> None:
+        for combination in combinations:
+            load_config(self.presets[0], settings=[_setting(name, value) for name, value in combination.items()])
+
+    def _job(self, source: Source, preset: str, combination: dict[str, Any], mode: Mode, seed: int) -> Job:
+        read = {name: _setting(name, value) for name, value in combination.items() if mode.reads(name)}
+        varied = [setting for name, setting in read.items() if isinstance(self.settings[name], list)]
+        config = load_config(preset, settings=[f"mode={mode}", f"seed={seed}", *read.values()])
+        return Job(source, config, VARIANT_SEPARATOR.join(varied))
 
 
 def load_study(file: Path) -> Study:
@@ -182,4 +196,4 @@ def default_folder(study: Study) -> Path:
 
 
 def _setting(name: str, value: Any) -> str:
-    return f"{name}={json.dumps(value)}"
+    return f"{name}={json.dumps(value, separators=(',', ':'))}"  # without VARIANT_SEPARATOR
