@@ -17,8 +17,10 @@ from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import SAME_INSTANT, TrajectoryPairs, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
-from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
+from fvslam_graph.evaluation.motion_nees import motion_nees, unjudged
+from fvslam_graph.evaluation.nees import Consistency, relative_errors
 from fvslam_graph.evaluation.pose_errors import PoseErrors, Similarity, aligned
+from fvslam_graph.evaluation.reference_quality import ReferenceQuality, reference_quality
 from fvslam_graph.runs.results import Relatives
 from fvslam_graph.runs.run_folder import METRICS_FILE, REFERENCE
 
@@ -29,6 +31,21 @@ MIN_ASSOCIATED_SHARE = 0.5  # of the poses that could have a reference; fewer ar
 
 if TYPE_CHECKING:
     from evo.core.result import Result
+
+
+@dataclass(frozen=True)
+class EstimateDetails:
+    """What is known of an estimate besides its poses.
+
+    Attributes:
+        name: In evo's results.
+        frames: How many images there were; None where that is not known.
+        relatives: Motions between the poses of the estimate; NEES is over those that have a covariance.
+    """
+
+    name: str = "estimate"
+    frames: int | None = None
+    relatives: Relatives | None = None
 
 
 @dataclass(frozen=True)
@@ -47,7 +64,9 @@ class Evaluation:
         errors: evo's results, see `evaluate`; their statistics are in metres and degrees.
         drift: Of the estimate as it is.
         drift_scaled: After multiplication by `scale`.
-        consistency: NEES of relative motions; None where there are no covariances.
+        nees: NEES of relative motions: of the "pose", its "rotation" and the "direction" of its translation; empty
+            where there are no covariances.
+        reference: How good the reference is from frame to frame; None where no motions tell.
         notes: What is missing or was done differently, and why; one sentence each.
         smoothed: RMSE of the positions of the smoothed trajectory after the same kind of alignment, metres; NaN where
             there is none.
@@ -63,7 +82,8 @@ class Evaluation:
     errors: dict[str, Result]
     drift: Drift
     drift_scaled: Drift
-    consistency: Consistency | None
+    nees: dict[str, Consistency]
+    reference: ReferenceQuality | None
     notes: tuple[str, ...]
     smoothed: float = math.nan
 
@@ -71,6 +91,11 @@ class Evaluation:
     def coverage(self) -> float | None:
         """Poses out / frames in."""
         return self.poses / self.frames if self.frames else None
+
+    @property
+    def consistency(self) -> Consistency | None:
+        """NEES of relative poses; None where there are no covariances."""
+        return self.nees.get("pose")
 
     def summary(self) -> dict[str, Any]:
         """The content of metrics.json."""
@@ -89,7 +114,8 @@ class Evaluation:
             "ape_smoothed": self.smoothed,
             "drift": asdict(self.drift),
             "drift_scaled": asdict(self.drift_scaled),
-            "nees": self.consistency and asdict(self.consistency),
+            "nees": {part: asdict(nees) for part, nees in self.nees.items()},
+            "reference": self.reference and asdict(self.reference),
             "notes": self.notes,
         }
 
@@ -118,9 +144,7 @@ def evaluate(
     estimate: Trajectory,
     reference: Trajectory,
     align: Alignment = Alignment.SE3,
-    name: str = "estimate",
-    frames: int | None = None,
-    relatives: Relatives | None = None,
+    details: EstimateDetails | None = None,
     time_offset: float = 0.0,
 ) -> Evaluation:
     """Compare an estimate with a reference.
@@ -133,28 +157,19 @@ def evaluate(
         estimate: world_T_camera.
         reference: world_T_camera, in a world of its own; the stamps need not be the same.
         align: Where the motion does not determine an SE(3) or Sim(3) alignment, ORIGIN takes its place, with a note.
-        name: Of the estimate, in evo's results.
-        frames: How many images there were.
-        relatives: Motions between the poses of the estimate; NEES is over those that have a covariance.
+        details: Of the estimate.
         time_offset: Seconds, added to the stamps of the estimate to get those of the reference.
 
     Raises:
         TrajectoryError: Fewer than two poses have a reference, or positions are too far away for numbers.
     """
+    details = details or EstimateDetails()
+    name, relatives = details.name, details.relatives
     _log.info("pairing %d poses with %d of the reference", len(estimate), len(reference))
     pairs = associate(estimate, reference, time_offset)
     _require_near("estimate", pairs.estimate)
     _require_near("reference", pairs.reference)
-    notes = [*estimate.notes, *reference.notes]
-    if time_offset:
-        notes.append(f"{time_offset:g} s are added to the stamps of the estimate")
-    apart = float(np.abs(pairs.estimate.stamps - pairs.reference.stamps).max())
-    if apart > SAME_INSTANT:
-        notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
-    if (associated := len(pairs.indices)) < MIN_ASSOCIATED_SHARE * min(len(estimate), len(reference)):
-        notes.append(
-            f"only {associated} of {len(estimate)} poses have a reference: do both have the same clock and rate?"
-        )
+    notes = _notes(estimate, reference, pairs, time_offset)
     _log.info("aligning %d poses", len(pairs.indices))
     fit = Similarity.between(pairs)
     scale = math.nan if fit is None else fit.scale
@@ -171,26 +186,44 @@ def evaluate(
     if (length := pairs.reference.path_length) <= LENGTHS[0]:
         notes.append(f"no t_rel and r_rel: the path of {length:.1f} m is shorter than {LENGTHS[0]:.0f} m")
 
-    consistent = None
+    nees: dict[str, Consistency] = {}
+    quality = None
     if relatives is not None:
-        pose_errors, covariances = relative_errors(pairs, relatives, scale if align is Alignment.SIM3 else 1.0)
-        consistent = consistency(pose_errors, covariances) if len(pose_errors) else None
-    if consistent is None:
+        quality = reference_quality(pairs, relatives, scale if fit else 1.0)
+        nees = motion_nees(relative_errors(pairs, relatives, scale if align is Alignment.SIM3 else 1.0), quality)
+        notes += unjudged(quality, nees)
+    if not nees:
         notes.append("no NEES: no relative motion has a covariance and a reference")
     return Evaluation(
         name=name,
         alignment=align,
         pairs=pairs,
         poses=len(estimate),
-        frames=frames,
+        frames=details.frames,
         scale=scale,
         ape_scaled=math.nan if fit is None else _ape_scaled(pairs, fit),
         errors=errors,
         drift=drift(poses, truth),
         drift_scaled=drift(poses, truth, scale),
-        consistency=consistent,
+        nees=nees,
+        reference=quality,
         notes=tuple(notes),
     )
+
+
+def _notes(estimate: Trajectory, reference: Trajectory, pairs: TrajectoryPairs, time_offset: float) -> list[str]:
+    """What is odd about files and pairs."""
+    notes = [*estimate.notes, *reference.notes]
+    if time_offset:
+        notes.append(f"{time_offset:g} s are added to the stamps of the estimate")
+    apart = float(np.abs(pairs.estimate.stamps - pairs.reference.stamps).max())
+    if apart > SAME_INSTANT:
+        notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
+    if (associated := len(pairs.indices)) < MIN_ASSOCIATED_SHARE * min(len(estimate), len(reference)):
+        notes.append(
+            f"only {associated} of {len(estimate)} poses have a reference: do both have the same clock and rate?"
+        )
+    return notes
 
 
 def _require_near(name: str, trajectory: Trajectory) -> None:

@@ -9,7 +9,7 @@ from fvslam_graph.core.errors import ResultsError, TrajectoryError
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import is_folder, load_trajectory
-from fvslam_graph.evaluation.metrics import Evaluation, evaluate
+from fvslam_graph.evaluation.metrics import EstimateDetails, Evaluation, evaluate
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
 
@@ -55,7 +55,7 @@ def evaluation_of(
     if isinstance(estimated, Trajectory):
         if reference is None:
             raise TrajectoryError(f"{name} needs a reference: give the trajectory to compare it with")
-        return evaluate(estimated, reference, align, name, time_offset=time_offset)
+        return evaluate(estimated, reference, align, EstimateDetails(name), time_offset)
     return _of_run(estimated, reference, align, time_offset)
 
 
@@ -71,7 +71,8 @@ def _of_run(run: Run, reference: Trajectory | None, align: Alignment, time_offse
     if relatives is not None:
         tracked = (run.frames["status"] == Status.TRACKED)[:, None, None]
         relatives = replace(relatives, covariances=np.where(tracked, relatives.covariances, np.nan))
-    evaluation = evaluate(run.online, truth, align, run.name, run.info.get("frames"), relatives, time_offset)
+    details = EstimateDetails(run.name, run.info.get("frames"), relatives)
+    evaluation = evaluate(run.online, truth, align, details, time_offset)
     if run.smoothed is None:
         return evaluation
     try:

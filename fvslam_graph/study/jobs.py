@@ -173,33 +173,34 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
 
     Errors are those of the online trajectory after alignment: `ape` (m), `ape_rot` (deg), `rpe` from frame to frame (m)
     and `rpe_1m` over a metre, all RMSE; `ape_smoothed` (m); drift `t_rel` (%) and `r_rel` (deg/100 m) without scale
-    correction, `t_rel_scaled` with it; `nees` of the relative motions. `matched` is how many landmarks V-SLAM finds in
-    an image, `ms` the mean time of a frame without reading it, `peak_mb` the memory of the process. NaN stands for
-    what the recording cannot tell.
+    correction, `t_rel_scaled` with it; `nees` of the relative motions, of their rotations and of their directions, and
+    which of these the reference cannot judge (`unjudged`). `matched` is how many landmarks V-SLAM finds in an image,
+    `nis` the mean normalised innovation squared of those it takes, `ms` the mean time of a frame without reading it,
+    `peak_mb` the memory of the process. NaN stands for what the recording cannot tell.
     """
     status, times = run.frames["status"], [run.frames[name] for name in run.frames if name.endswith("_ms")]
     milliseconds = np.sum(times, axis=0) - run.frames.get("read_ms", 0.0)
-    matched = run.frames.get("matched", np.array(np.nan))
     row: Row = {
         "status": run.info["status"],
         "frames": run.info["frames"],
         "scale_source": run.info["scale_source"],
         "coverage": run.coverage,
         "tracked": float(np.isin(status, (Status.TRACKED, Status.STATIC)).mean()),
-        "matched": float(np.nanmean(matched)) if np.isfinite(matched).any() else np.nan,
+        "matched": _mean(run, "matched"),
+        "nis": _mean(run, "nis"),
         "note": _note(run),
         "ms": float(np.mean(milliseconds)),
         "ms_p95": float(np.percentile(milliseconds, 95)),
         "peak_mb": run.info.get("totals", {}).get("peak_memory_mb", np.nan),
     }
     if evaluation is None:
-        return row | dict.fromkeys(METRIC_COLUMNS, np.nan)
+        return row | dict.fromkeys(METRIC_COLUMNS, np.nan) | {"unjudged": ""}
     return row | metric_columns(evaluation)
 
 
-def metric_columns(evaluation: Evaluation) -> dict[str, float]:
+def metric_columns(evaluation: Evaluation) -> Row:
     """The numbers of an evaluation that tables show; see `row_of`."""
-    nees = evaluation.consistency
+    nees = {part: found.mean for part, found in evaluation.nees.items() if found.judged}
     return {
         "ape": _rmse(evaluation, "ape_trans"),
         "ape_rot": _rmse(evaluation, "ape_rot"),
@@ -209,10 +210,13 @@ def metric_columns(evaluation: Evaluation) -> dict[str, float]:
         "t_rel_scaled": evaluation.drift_scaled.t_rel,
         "r_rel": evaluation.drift.r_rel,
         "scale": evaluation.scale,
-        "nees": np.nan if nees is None else nees.mean,
+        "nees": nees.get("pose", np.nan),
+        "nees_rotation": nees.get("rotation", np.nan),
+        "nees_direction": nees.get("direction", np.nan),
         "path": evaluation.pairs.reference.path_length,
         "associated": len(evaluation.pairs.indices),
         "ape_smoothed": evaluation.smoothed,
+        "unjudged": ", ".join(part for part, found in evaluation.nees.items() if not found.judged),
     }
 
 
@@ -226,6 +230,8 @@ METRIC_COLUMNS = (
     "r_rel",
     "scale",
     "nees",
+    "nees_rotation",
+    "nees_direction",
     "path",
     "associated",
     "ape_smoothed",
@@ -236,6 +242,12 @@ def _note(run: Run) -> str:
     """A note that a reader of the table has to know of a run that came to its end."""
     smoothed = run.info.get("smoothed") or ""
     return f"the smoothed trajectory is {smoothed}" if smoothed.startswith("not determined") else ""
+
+
+def _mean(run: Run, column: str) -> float:
+    """Of the frames that have it; NaN where none has."""
+    values = run.frames.get(column, np.array(np.nan))
+    return float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
 
 
 def _rmse(evaluation: Evaluation, name: str) -> float:

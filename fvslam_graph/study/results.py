@@ -13,6 +13,7 @@ import pandas as pd
 
 from fvslam_graph.core.files import write_file, writing
 from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.report import UNJUDGED
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.study.common_frames import COMMON_COLUMNS
 from fvslam_graph.study.jobs import METRIC_COLUMNS, Row
@@ -27,15 +28,17 @@ RESULTS = (
     "coverage",
     "tracked",
     "matched",
+    "nis",
     *METRIC_COLUMNS,
     *COMMON_COLUMNS,
+    "unjudged",
     "note",
     "folder",
 )
 EXTERNAL = "external"
 """The preset of other people's systems."""
 COSTS = ("ms", "ms_p95", "peak_mb")
-_WORDS = (*LABELS, "status", "scale_source", "note", "folder")
+_WORDS = (*LABELS, "status", "scale_source", "unjudged", "note", "folder")
 _COUNTS = ("seed", "frames")
 
 _SUMMARY = {  # column of the table: its name, digits, factor
@@ -45,6 +48,9 @@ _SUMMARY = {  # column of the table: its name, digits, factor
     "t_rel": ("t_rel (%)", ".2f", 1.0),
     "r_rel": ("r_rel (deg/100 m)", ".3f", 1.0),
     "nees": ("NEES", ".1f", 1.0),
+    "nees_rotation": ("NEES, rotation", ".1f", 1.0),
+    "nees_direction": ("NEES, direction", ".1f", 1.0),
+    "nis": ("NIS", ".1f", 1.0),
     "coverage": ("coverage (%)", ".1f", 100.0),
     "associated": ("poses", ".0f", 1.0),
     "common": ("common", ".0f", 1.0),
@@ -53,6 +59,14 @@ _SUMMARY = {  # column of the table: its name, digits, factor
     "ms": ("ms/frame", ".1f", 1.0),
     "peak_mb": ("peak MB", ".0f", 1.0),
 }
+
+_COLUMNS = (
+    "APE and RPE (frame to frame): RMSE of translation; smoothed: APE of the smoothed trajectory. t_rel and r_rel: "
+    "KITTI's, 100-800 m, without scale correction. NEES: 6, 3 and 2 are consistent; not judged where the noise of the "
+    "reference alone would double it, or where its axes are not the camera's. NIS: of V-SLAM's landmarks, 2 is "
+    "consistent. poses: those with ground truth. ms/frame: mean without reading images."
+)
+_NEES_PARTS = {"nees": "pose", "nees_rotation": "rotation", "nees_direction": "direction"}
 
 
 @dataclass(frozen=True)
@@ -109,9 +123,7 @@ class StudyResults:
         )
         return (
             f"{' / '.join(self.table['sequence'].unique())}. {self.circumstances} Median, and range over the seeds in "
-            f"brackets. {failed} of {len(self.table)} runs failed and have no error. {common} APE and RPE (frame to "
-            "frame): RMSE of translation; smoothed: APE of the smoothed trajectory. t_rel and r_rel: KITTI's, 100-800 "
-            "m, without scale correction. poses: those with ground truth. ms/frame: mean without reading images."
+            f"brackets. {failed} of {len(self.table)} runs failed and have no error. {common} {_COLUMNS}"
         )
 
     @property
@@ -130,7 +142,10 @@ class StudyResults:
             labels = dict(zip(LABELS, common, strict=True))
             finished = group[group["status"] == "finished"]
             runs = f"{len(finished)}/{len(group)}"
-            cells = [spread(finished[key] * factor, digits) for key, (_, digits, factor) in columns.items()]
+            cells = [
+                UNJUDGED if _unjudged(finished, key) else spread(finished[key] * factor, digits)
+                for key, (_, digits, factor) in columns.items()
+            ]
             scale = "/".join(sorted(set(finished["scale_source"]) - {""})) or "-"
             rows.append([*(labels[label] for label in shown), scale, runs, *cells])
         names = (*shown, "scale", "runs", *(name for name, _, _ in columns.values()))
@@ -159,6 +174,12 @@ class StudyResults:
             write_file(folder / "results.parquet", parquet.getvalue())
             write_file(folder / "summary.md", self.summary().markdown())
             write_file(folder / "summary.tex", self.summary().latex())
+
+
+def _unjudged(runs: pd.DataFrame, column: str) -> bool:
+    """Whether the reference cannot judge this NEES of any of the runs."""
+    part = _NEES_PARTS.get(column)
+    return part is not None and bool(runs["unjudged"].str.contains(part).any()) and bool(runs[column].isna().all())
 
 
 def _keys(table: pd.DataFrame) -> list[tuple[Any, ...]]:

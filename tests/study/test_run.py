@@ -58,7 +58,7 @@ def test_the_table_is_tidy(folder):
     pd.testing.assert_frame_equal(
         table,
         pd.read_csv(folder / "results.csv", dtype=dict(table.dtypes), keep_default_na=True).fillna(
-            {"scale_source": "", "variant": "", "note": "", "folder": ""}
+            {"scale_source": "", "variant": "", "unjudged": "", "note": "", "folder": ""}
         ),
     )
     assert len(table) == 3 * 2 * 2 + 3
