@@ -229,6 +229,22 @@ def study(
 
 
 @app.command()
+def table(
+    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Folder of a study or a comparison.")],
+    rows: Annotated[str, typer.Option(help="mode, sequence, preset, variant or seed.")] = "mode",
+    columns: Annotated[str, typer.Option(help="The same.")] = "sequence",
+    metric: Annotated[str, typer.Option(help="Column of results.csv, such as ape, ape_common, t_rel.")] = "ape_common",
+    layout: Annotated[str, typer.Option("--format", help="latex, md or csv.")] = "md",
+) -> None:
+    """Print one number of a study as a table for a paper: best bold, second underlined, as wide as a page at most."""
+    from fvslam_graph.study.metric_table import Layout, MetricTable
+
+    if layout not in list(Layout):
+        raise FvslamError(f"--format is one of {', '.join(Layout)}, not '{layout}'")
+    typer.echo(MetricTable.of(study, rows, columns, metric).text(Layout(layout)), nl=False)
+
+
+@app.command()
 def info(
     path: SequencePath,
     camera_height: CameraHeight = None,
