@@ -27,7 +27,7 @@ from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.pipeline import run_sequence
 from fvslam_graph.runs.ownership import Kind, claimed, kind_of
-from fvslam_graph.runs.provenance import forget_peak_memory, provenance
+from fvslam_graph.runs.provenance import provenance
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.sequences.open import open_sequence, sequence_name
@@ -146,7 +146,6 @@ def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = No
             return row
         if not _finished(folder):
             sequence = _opened(job.source, rendered)
-            forget_peak_memory()
             run_sequence(sequence, job.config, folder)
         run = read_run(folder)
         evaluation = evaluate_run(folder, align=align) if run.ground_truth is not None else None
@@ -176,7 +175,8 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
     correction, `t_rel_scaled` with it; `nees` of the relative motions, of their rotations and of their directions, and
     which of these the reference cannot judge (`unjudged`). `matched` is how many landmarks V-SLAM finds in an image,
     `nis` the mean normalised innovation squared of those it takes, `ms` the mean time of a frame without reading it,
-    `peak_mb` the memory of the process. NaN stands for what the recording cannot tell.
+    `peak_mb` the memory of the process, `waited` the share of its time for which it waited for a core. NaN stands for
+    what the recording cannot tell.
     """
     status, times = run.frames["status"], [run.frames[name] for name in run.frames if name.endswith("_ms")]
     milliseconds = np.sum(times, axis=0) - run.frames.get("read_ms", 0.0)
@@ -192,6 +192,7 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
         "ms": float(np.mean(milliseconds)),
         "ms_p95": float(np.percentile(milliseconds, 95)),
         "peak_mb": run.info.get("totals", {}).get("peak_memory_mb", np.nan),
+        "waited": run.info.get("totals", {}).get("waited", np.nan),
     }
     if evaluation is None:
         return row | dict.fromkeys(METRIC_COLUMNS, np.nan) | {"unjudged": ""}

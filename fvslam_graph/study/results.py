@@ -37,7 +37,7 @@ RESULTS = (
 )
 EXTERNAL = "external"
 """The preset of other people's systems."""
-COSTS = ("ms", "ms_p95", "peak_mb")
+COSTS = ("ms", "ms_p95", "peak_mb", "waited")
 _WORDS = (*LABELS, "status", "scale_source", "unjudged", "note", "folder")
 _COUNTS = ("seed", "frames")
 
@@ -64,8 +64,9 @@ _COLUMNS = (
     "APE and RPE (frame to frame): RMSE of translation; smoothed: APE of the smoothed trajectory. t_rel and r_rel: "
     "KITTI's, 100-800 m, without scale correction. NEES: 6, 3 and 2 are consistent; not judged where the noise of the "
     "reference alone would double it, or where its axes are not the camera's. NIS: of V-SLAM's landmarks, 2 is "
-    "consistent. poses: those with ground truth. ms/frame: mean without reading images."
+    "consistent. poses: those with ground truth. ms/frame: mean without reading images"
 )
+UNDISTURBED = 0.02  # share of the time for which a process may wait for a core
 _NEES_PARTS = {"nees": "pose", "nees_rotation": "rotation", "nees_direction": "direction"}
 
 
@@ -124,7 +125,18 @@ class StudyResults:
         return (
             f"{' / '.join(self.table['sequence'].unique())}. {self.circumstances} Median, and range over the seeds in "
             f"brackets. {failed} of {len(self.table)} runs failed and have no error. {common} {_COLUMNS}"
+            f"{self._sharing}."
         )
+
+    @property
+    def _sharing(self) -> str:
+        """Whether times are those of processes that had a core each."""
+        waited = self.finished["waited"].max()
+        if np.isnan(waited):
+            return ""
+        if waited <= UNDISTURBED:
+            return ", undisturbed"
+        return f"; cores were shared, and runs waited for one up to {100 * waited:.0f} % of the time"
 
     @property
     def _frames_differ(self) -> bool:
