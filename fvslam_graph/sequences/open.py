@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -98,10 +99,12 @@ def sequence_name(path: str | Path) -> str:
     """The name that a recording has everywhere, by its path alone: that of its folder, or of its file."""
     if str(path).startswith("synthetic:"):
         return str(path)
-    path = Path(path).expanduser().absolute()
+    path = Path(path).absolute()
     if path.name == "mav0":  # of EuRoC's recordings
         return path.parent.name
-    return path.name if path.is_dir() else path.stem
+    with suppress(OSError, RuntimeError):  # which opening it says better
+        return path.name if path.expanduser().is_dir() else path.stem
+    return path.name
 
 
 def _synthetic(name: str | Path, topic: str | None) -> Sequence:
