@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import os
 import signal
 import sys
@@ -259,7 +260,8 @@ def evaluate(
     from fvslam_graph.evaluation.report import runs_table, summary_table
     from fvslam_graph.evaluation.runs import evaluation_of
 
-    evaluation = evaluation_of(estimate, reference, align, time_offset)
+    with _telling("fvslam_graph.evaluation"):
+        evaluation = evaluation_of(estimate, reference, align, time_offset)
     if estimate.is_dir():
         evaluation.write(estimate)
         _show(runs_table([estimate]).rich(across=True))
@@ -373,6 +375,22 @@ def study(
 
     declared = load_study(file)
     _run_study(declared, out or default_folder(declared), workers, scheduler)
+
+
+@app.command()
+def table(
+    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Folder of a study or a comparison.")],
+    rows: Annotated[str, typer.Option(help="mode, sequence, preset, variant or seed.")] = "mode",
+    columns: Annotated[str, typer.Option(help="The same.")] = "sequence",
+    metric: Annotated[str, typer.Option(help="Column of results.csv, such as ape, ape_common, t_rel.")] = "ape_common",
+    layout: Annotated[str, typer.Option("--format", help="latex, md or csv.")] = "md",
+) -> None:
+    """Print one number of a study as a table for a paper: best bold, second underlined, as wide as a page at most."""
+    from fvslam_graph.study.metric_table import Layout, MetricTable
+
+    if layout not in list(Layout):
+        raise FvslamError(f"--format is one of {', '.join(Layout)}, not '{layout}'")
+    typer.echo(MetricTable.of(study, rows, columns, metric).text(Layout(layout)), nl=False)
 
 
 @app.command(cls=_WithPlugins)
@@ -643,6 +661,29 @@ def _progress(items: Iterable[_T], total: int, label: str) -> Iterator[_T]:
 
     console = Console(stderr=True)
     return iter(track(items, escape(label), total, console=console, disable=not console.is_terminal, transient=True))
+
+
+@contextmanager
+def _telling(package: str) -> Iterator[None]:
+    """On a terminal, show what a package logs as it goes on."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield
+        return
+    log = logging.getLogger(package)
+    with console.status("") as status:
+        handler = logging.Handler()
+        handler.emit = lambda record: status.update(escape(record.getMessage()))  # type: ignore[method-assign]
+        log.addHandler(handler)
+        log.setLevel(logging.INFO)
+        try:
+            yield
+        finally:
+            log.removeHandler(handler)
+            log.setLevel(logging.NOTSET)
 
 
 def _show(table: Table) -> None:

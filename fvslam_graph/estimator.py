@@ -307,6 +307,7 @@ def _measures(config: Config, odometry: VoEstimate | None, slam: SlamEstimate | 
         "landmarks": float(expected),
         "matched": float(expected - outcomes[MatchOutcome.UNMATCHED]),
         "measured": float(outcomes[MatchOutcome.INLIER] + outcomes[MatchOutcome.RESCUED]),
+        "nis": slam.matches.nis if slam else math.nan,
         "interval": slam.index - slam.previous if slam else math.nan,
         "map_scale_sigma": slam.scale_sigma if slam else math.nan,
     }

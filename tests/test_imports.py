@@ -74,7 +74,10 @@ def test_the_root_holds_faces_pipeline_and_estimator():
 @pytest.mark.parametrize(
     ("library", "where"),
     [
-        ("evo", {"core/trajectory.py", "evaluation/association.py", "evaluation/metrics.py"}),
+        (
+            "evo",
+            {"core/trajectory.py", "evaluation/association.py", "evaluation/metrics.py", "evaluation/pose_errors.py"},
+        ),
         ("dask", {"study/execution.py"}),
         ("rosbags", {"runs/export/ros2.py", "sequences/ros/reader.py"}),
         ("distributed", {"study/execution.py"}),

@@ -1,7 +1,6 @@
 """The estimators on short parts of real recordings; skipped where they are absent."""
 
 from collections import Counter
-from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -11,7 +10,7 @@ from fvslam_graph.core.config import load_config
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.estimator import estimate
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.metrics import Evaluation, evaluate
+from fvslam_graph.evaluation.metrics import EstimateDetails, Evaluation, evaluate
 from fvslam_graph.pipeline import resolve_config
 from fvslam_graph.sequences.open import open_sequence
 
@@ -24,7 +23,7 @@ def run(path, preset: str = "tuned", frames: str = ":", settings: tuple[str, ...
 
 def compare(sequence, results) -> Evaluation:
     online = Trajectory(sequence.stamps, tuple(result.pose.mean for result in results))
-    return replace(evaluate(online, sequence.ground_truth, Alignment.SIM3), frames=len(sequence))
+    return evaluate(online, sequence.ground_truth, Alignment.SIM3, EstimateDetails(frames=len(sequence)))
 
 
 def rmse(evaluation: Evaluation, name: str) -> float:

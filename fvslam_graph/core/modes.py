@@ -12,6 +12,28 @@ from fvslam_graph.core.plugins import Kind, Plugin, find
 MODES = tuple(mode.value for mode in Mode)
 TRACKERS = ("klt", "ncc")
 
+_ODOMETRY = ("features", "vo", "scale")
+# The groups of settings, and settings of groups that a mode reads in part.
+_READ: dict[str, tuple[str, ...]] = {
+    Mode.VO: _ODOMETRY,
+    Mode.VSLAM: (*_ODOMETRY, "slam"),
+    Mode.AVERAGE: (*_ODOMETRY, "slam", "fusion.weight", "fusion.geodesic"),
+    Mode.INTERSECTION: (*_ODOMETRY, "slam", "fusion.criterion"),
+    Mode.GRAPH: (*_ODOMETRY, "slam", "graph"),
+}
+
+
+def reads(mode: str | Plugin, setting: str) -> bool:
+    """Whether the outcome of a mode depends on a setting, or on a group of them: "graph.lag", or "graph".
+
+    Rules of other packages fuse what our odometry and visual SLAM say; estimators of theirs read none.
+    """
+    outside = outside_mode(mode) if isinstance(mode, str) else mode
+    rule = (*_ODOMETRY, "slam") if outside is not None and outside.kind is Kind.RULE else ()
+    return any(
+        f"{setting}.".startswith(f"{part}.") or part.startswith(f"{setting}.") for part in _READ.get(str(mode), rule)
+    )
+
 
 def outside_mode(name: str) -> Plugin | None:
     """The estimator or fusion rule of another package that is called so; None where it is one of MODES, or nothing.

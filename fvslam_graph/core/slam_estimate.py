@@ -58,6 +58,15 @@ class LandmarkMatches:
         measured: NDArray[np.bool_] = self.outcome >= MatchOutcome.INLIER
         return measured
 
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared, mean over what was measured: 2 is consistent; NaN where nothing was."""
+        if not self.measured.any():
+            return np.nan
+        innovations = (self.pixels - self.expected)[self.measured]
+        weighted = np.linalg.solve(self.ellipses[self.measured], innovations[:, :, None])[:, :, 0]
+        return float(np.mean(np.sum(innovations * weighted, axis=1)))
+
 
 @dataclass(frozen=True)
 class Landmarks:

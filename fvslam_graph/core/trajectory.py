@@ -74,7 +74,12 @@ class Trajectory:
     @cached_property
     def matrices(self) -> NDArray[np.float64]:
         """Homogeneous matrices, (N, 4, 4)."""
-        return np.array([pose.matrix() for pose in self.poses]).reshape(-1, 4, 4)
+        matrices = np.empty((len(self.poses), 4, 4))
+        for matrix, pose in zip(
+            matrices, self.poses, strict=True
+        ):  # a list of a million arrays is larger than all else
+            matrix[:] = pose.matrix()
+        return matrices
 
     @property
     def positions(self) -> NDArray[np.float64]:

@@ -21,13 +21,3 @@ class Alignment(StrEnum):
         if name not in list(cls):
             raise FvslamError(f"the alignment is one of {', '.join(cls)}, not '{name}'")
         return cls(name)
-
-    @property
-    def options(self) -> dict[str, bool]:
-        """The arguments of evo's `ape` and `rpe`."""
-        return {
-            Alignment.NONE: {},
-            Alignment.ORIGIN: {"align_origin": True},
-            Alignment.SE3: {"align": True},
-            Alignment.SIM3: {"align": True, "correct_scale": True},
-        }[self]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,10 +14,12 @@ from fvslam_graph.core.errors import TrajectoryError
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.runs.run_folder import read_run
 
+_log = logging.getLogger(__name__)
+
 MAX_STAMP_DIFFERENCE = 0.01  # s between associated stamps: the default of evo_ape
 MAX_GAP = 0.5  # s between poses of a reference that are interpolated
 STAMP_UNITS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}
-MOST = 100_000  # poses: evo takes about a minute for them
+MAX_POSES = 1_000_000  # less than a minute and two gigabytes
 SAME_INSTANT = 1e-3  # s; two poses closer in time count as simultaneous: 1 cm at 10 m/s
 
 
@@ -35,6 +38,12 @@ class TrajectoryPairs:
     estimate: Trajectory
     reference: Trajectory
     interpolated: bool
+
+    def part(self, rows: NDArray[np.int64]) -> TrajectoryPairs:
+        """Some of the pairs, by their numbers in increasing order."""
+        return TrajectoryPairs(
+            self.indices[rows], _rows(self.estimate, rows), _rows(self.reference, rows), self.interpolated
+        )
 
 
 def associate(estimate: Trajectory, reference: Trajectory, time_offset: float = 0.0) -> TrajectoryPairs:
@@ -57,8 +66,8 @@ def associate(estimate: Trajectory, reference: Trajectory, time_offset: float = 
         raise TrajectoryError("a trajectory without poses cannot be evaluated")
     if not math.isfinite(time_offset):
         raise TrajectoryError(f"the time offset must be a number of seconds, not {time_offset}")
-    if (poses := min(len(estimate), len(reference))) > MOST:
-        raise TrajectoryError(f"{poses} poses are too many to be compared; take every n-th, {MOST} at most")
+    if (poses := min(len(estimate), len(reference))) > MAX_POSES:
+        raise TrajectoryError(f"{poses} poses are too many to be compared; take every n-th, {MAX_POSES} at most")
     if estimate.rows is not None or reference.rows is not None:
         return _by_rows(estimate, reference)
     if time_offset:
@@ -73,6 +82,7 @@ def load_trajectory(path: Path) -> Trajectory:
         TrajectoryError: It is none of these, or damaged.
         ResultsError: It is a folder, but not that of a run.
     """
+    _log.info("reading %s", path)
     return read_run(path).online if is_folder(path) else Trajectory.read(path)
 
 
@@ -147,4 +157,6 @@ def _overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
 
 
 def _rows(trajectory: Trajectory, rows: NDArray[np.int64]) -> Trajectory:
+    if len(rows) == len(trajectory):  # which are all, in order: a million poses are no copy
+        return trajectory
     return Trajectory(trajectory.stamps[rows], tuple(trajectory.poses[row] for row in rows))

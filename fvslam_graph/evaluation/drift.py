@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.evaluation.pose_errors import motion_errors
+
 LENGTHS = np.arange(100.0, 900.0, 100.0)  # m
 SEGMENT_STEP = 10  # poses between the starts of segments, as in the benchmark (one second at its 10 Hz)
 
@@ -29,8 +31,8 @@ class Drift:
     by_length: dict[int, tuple[float, float]]
 
 
-def drift(estimate: NDArray[np.float64], reference: NDArray[np.float64]) -> Drift:
-    """Drift of associated poses, both (N, 4, 4) and metric, each in a world of its own.
+def drift(estimate: NDArray[np.float64], reference: NDArray[np.float64], scale: float = 1.0) -> Drift:
+    """Drift of associated poses, both (N, 4, 4) and metric, each in a world of its own; `scale` is on the estimate.
 
     From every STEP-th pose, a segment of each length ends at the first pose at which the reference's path is longer.
     """
@@ -42,16 +44,10 @@ def drift(estimate: NDArray[np.float64], reference: NDArray[np.float64]) -> Drif
     starts, lengths, ends = starts[inside], lengths[inside], ends[inside]
     if not len(ends):
         return Drift(float("nan"), float("nan"), 0, {})
-    errors = np.linalg.inv(_relative(estimate, starts, ends)) @ _relative(reference, starts, ends)
-    cosines = (np.trace(errors[:, :3, :3], axis1=1, axis2=2) - 1) / 2
-    t_rel = 100 * np.linalg.norm(errors[:, :3, 3], axis=1) / lengths
-    r_rel = 100 * np.degrees(np.arccos(np.clip(cosines, -1, 1))) / lengths
+    metres, angles = motion_errors(estimate, reference, starts, ends, scale)
+    t_rel, r_rel = 100 * metres / lengths, 100 * angles / lengths
     by_length = {
         int(length): (float(t_rel[lengths == length].mean()), float(r_rel[lengths == length].mean()))
         for length in np.unique(lengths)
     }
     return Drift(float(t_rel.mean()), float(r_rel.mean()), len(ends), by_length)
-
-
-def _relative(poses: NDArray[np.float64], starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.linalg.inv(poses[starts]) @ poses[ends]

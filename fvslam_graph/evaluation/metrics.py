@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,16 +18,35 @@ from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import SAME_INSTANT, TrajectoryPairs, associate
 from fvslam_graph.evaluation.drift import LENGTHS, Drift, drift
-from fvslam_graph.evaluation.nees import Consistency, consistency, relative_errors
+from fvslam_graph.evaluation.motion_nees import motion_nees, unjudged
+from fvslam_graph.evaluation.nees import Consistency, relative_errors
+from fvslam_graph.evaluation.pose_errors import PoseErrors, Similarity, aligned
+from fvslam_graph.evaluation.reference_quality import ReferenceQuality, reference_quality
 from fvslam_graph.runs.results import Relatives
 from fvslam_graph.runs.run_folder import METRICS_FILE, REFERENCE
 
+_log = logging.getLogger(__name__)
+
 MAX_COORDINATE = 1e9  # m, beyond the moon; squares of errors stay exact enough
-MIN_MATCHED_SHARE = 0.5  # of the poses that could have a reference; fewer are worth a note
+MIN_ASSOCIATED_SHARE = 0.5  # of the poses that could have a reference; fewer are worth a note
 
 if TYPE_CHECKING:
     from evo.core.result import Result
-    from evo.core.trajectory import PoseTrajectory3D
+
+
+@dataclass(frozen=True)
+class EstimateDetails:
+    """What is known of an estimate besides its poses.
+
+    Attributes:
+        name: In evo's results.
+        frames: How many images there were; None where that is not known.
+        relatives: Motions between the poses of the estimate; NEES is over those that have a covariance.
+    """
+
+    name: str = "estimate"
+    frames: int | None = None
+    relatives: Relatives | None = None
 
 
 @dataclass(frozen=True)
@@ -45,7 +65,9 @@ class Evaluation:
         errors: evo's results, see `evaluate`; their statistics are in metres and degrees.
         drift: Of the estimate as it is.
         drift_scaled: After multiplication by `scale`.
-        consistency: NEES of relative motions; None where there are no covariances.
+        nees: NEES of relative motions: of the "pose", its "rotation" and the "direction" of its translation; empty
+            where there are no covariances.
+        reference: How good the reference is from frame to frame; None where no motions tell.
         notes: What is missing or was done differently, and why; one sentence each.
         smoothed: RMSE of the positions of the smoothed trajectory after the same kind of alignment, metres; NaN where
             there is none.
@@ -61,7 +83,8 @@ class Evaluation:
     errors: dict[str, Result]
     drift: Drift
     drift_scaled: Drift
-    consistency: Consistency | None
+    nees: dict[str, Consistency]
+    reference: ReferenceQuality | None
     notes: tuple[str, ...]
     smoothed: float = math.nan
 
@@ -69,6 +92,11 @@ class Evaluation:
     def coverage(self) -> float | None:
         """Poses out / frames in."""
         return self.poses / self.frames if self.frames else None
+
+    @property
+    def consistency(self) -> Consistency | None:
+        """NEES of relative poses; None where there are no covariances."""
+        return self.nees.get("pose")
 
     def summary(self) -> dict[str, Any]:
         """The content of metrics.json."""
@@ -78,7 +106,7 @@ class Evaluation:
             "association": "reference interpolated" if self.pairs.interpolated else "nearest stamps",
             "poses": self.poses,
             "frames": self.frames,
-            "matched": len(self.pairs.indices),
+            "associated": len(self.pairs.indices),
             "coverage": self.coverage,
             "scale": self.scale,
             "ape_scaled": self.ape_scaled,
@@ -87,7 +115,8 @@ class Evaluation:
             "ape_smoothed": self.smoothed,
             "drift": asdict(self.drift),
             "drift_scaled": asdict(self.drift_scaled),
-            "nees": self.consistency and asdict(self.consistency),
+            "nees": {part: asdict(nees) for part, nees in self.nees.items()},
+            "reference": self.reference and asdict(self.reference),
             "notes": self.notes,
         }
 
@@ -116,8 +145,7 @@ def evaluate(
     estimate: Trajectory,
     reference: Trajectory,
     align: Alignment = Alignment.SE3,
-    name: str = "estimate",
-    relatives: Relatives | None = None,
+    details: EstimateDetails | None = None,
     time_offset: float = 0.0,
 ) -> Evaluation:
     """Compare an estimate with a reference.
@@ -130,57 +158,64 @@ def evaluate(
         estimate: world_T_camera.
         reference: world_T_camera, in a world of its own; the stamps need not be the same.
         align: Where the motion does not determine an SE(3) or Sim(3) alignment, ORIGIN takes its place, with a note.
-        name: Of the estimate, in evo's results.
-        relatives: Motions between the poses of the estimate; NEES is over those that have a covariance.
+        details: Of the estimate.
         time_offset: Seconds, added to the stamps of the estimate to get those of the reference.
 
     Raises:
         TrajectoryError: Fewer than two poses have a reference, or positions are too far away for numbers.
     """
     require("eval")
+    details = details or EstimateDetails()
+    _log.info("pairing %d poses with %d of the reference", len(estimate), len(reference))
     pairs = associate(estimate, reference, time_offset)
     _require_near("estimate", pairs.estimate)
     _require_near("reference", pairs.reference)
     notes = _association_notes(estimate, reference, pairs, time_offset)
-    scale = _scale(pairs)
-    determined = not math.isnan(scale)
-    if not determined and align in (Alignment.SE3, Alignment.SIM3):
+    _log.info("aligning %d poses", len(pairs.indices))
+    fit = Similarity.between(pairs)
+    if fit is None and align in (Alignment.SE3, Alignment.SIM3):
         notes.append(f"the motion does not determine an alignment by {align}: aligned at the origin")
         align = Alignment.ORIGIN
 
-    errors = _errors(pairs, align, name)
+    _log.info("comparing %d poses", len(pairs.indices))
+    errors = PoseErrors(pairs, align, *aligned(pairs, align, fit), details.name).results()
     if "rpe_1m_trans" not in errors:
         notes.append("no relative pose error over 1 m: the path is shorter")
-    scaled = pairs.estimate.matrices.copy()
-    scaled[:, :3, 3] *= scale
+    poses, truth = pairs.estimate.matrices, pairs.reference.matrices
     if (length := pairs.reference.path_length) <= LENGTHS[0]:
         notes.append(f"no t_rel and r_rel: the path of {length:.1f} m is shorter than {LENGTHS[0]:.0f} m")
 
-    consistent = _consistency(pairs, relatives, scale if align is Alignment.SIM3 else 1.0)
-    if consistent is None:
+    scale = math.nan if fit is None else fit.scale
+    nees, quality = _consistency(pairs, details.relatives, scale, align)
+    if quality is not None:
+        notes += unjudged(quality, nees)
+    if not nees:
         notes.append("no NEES: no relative motion has a covariance and a reference")
     return Evaluation(
-        name=name,
+        name=details.name,
         alignment=align,
         pairs=pairs,
         poses=len(estimate),
-        frames=None,
+        frames=details.frames,
         scale=scale,
-        ape_scaled=_ape_scaled(pairs, name) if determined else math.nan,
+        ape_scaled=math.nan if fit is None else _ape_scaled(pairs, fit),
         errors=errors,
-        drift=drift(pairs.estimate.matrices, pairs.reference.matrices),
-        drift_scaled=drift(scaled, pairs.reference.matrices),
-        consistency=consistent,
+        drift=drift(poses, truth),
+        drift_scaled=drift(poses, truth, scale),
+        nees=nees,
+        reference=quality,
         notes=tuple(notes),
     )
 
 
-def _consistency(pairs: TrajectoryPairs, relatives: Relatives | None, scale: float) -> Consistency | None:
-    """The NEES of relative motions; None where none has a covariance and a reference."""
+def _consistency(
+    pairs: TrajectoryPairs, relatives: Relatives | None, scale: float, align: Alignment
+) -> tuple[dict[str, Consistency], ReferenceQuality | None]:
+    """The NEES of relative motions by what it is of, and whether the reference can judge it."""
     if relatives is None:
-        return None
-    errors, covariances = relative_errors(pairs, relatives, scale)
-    return consistency(errors, covariances) if len(errors) else None
+        return {}, None
+    quality = reference_quality(pairs, relatives, 1.0 if math.isnan(scale) else scale)
+    return motion_nees(relative_errors(pairs, relatives, scale if align is Alignment.SIM3 else 1.0), quality), quality
 
 
 def _association_notes(
@@ -193,8 +228,10 @@ def _association_notes(
     apart = float(np.abs(pairs.estimate.stamps - pairs.reference.stamps).max())
     if apart > SAME_INSTANT:
         notes.append(f"the stamps of estimate and reference are up to {1000 * apart:.2g} ms apart")
-    if (matched := len(pairs.indices)) < MIN_MATCHED_SHARE * min(len(estimate), len(reference)):
-        notes.append(f"only {matched} of {len(estimate)} poses have a reference: do both have the same clock and rate?")
+    if (associated := len(pairs.indices)) < MIN_ASSOCIATED_SHARE * min(len(estimate), len(reference)):
+        notes.append(
+            f"only {associated} of {len(estimate)} poses have a reference: do both have the same clock and rate?"
+        )
     return notes
 
 
@@ -206,51 +243,7 @@ def _require_near(name: str, trajectory: Trajectory) -> None:
         )
 
 
-def _scale(pairs: TrajectoryPairs) -> float:
-    """Umeyama's scale factor; NaN for degenerate motions."""
-    from evo.core.geometry import GeometryException, umeyama_alignment
-
-    try:
-        _, _, scale = umeyama_alignment(pairs.estimate.positions.T, pairs.reference.positions.T, with_scale=True)
-    except GeometryException:
-        return math.nan
-    return float(scale)
-
-
-def _ape_scaled(pairs: TrajectoryPairs, name: str) -> float:
-    from evo.core.metrics import PoseRelation
-    from evo.main_ape import ape
-
-    result = ape(*_evo_pair(pairs, name), PoseRelation.translation_part, **Alignment.SIM3.options)
-    return float(result.stats["rmse"])
-
-
-def _errors(pairs: TrajectoryPairs, align: Alignment, name: str) -> dict[str, Result]:
-    from evo.core.filters import FilterException
-    from evo.core.metrics import PoseRelation, Unit
-    from evo.main_ape import ape
-    from evo.main_rpe import rpe
-
-    errors = {}
-    for part, relation in (("trans", PoseRelation.translation_part), ("rot", PoseRelation.rotation_angle_deg)):
-        errors[f"ape_{part}"] = ape(*_evo_pair(pairs, name), relation, **align.options)
-        for key, unit in (("rpe", Unit.frames), ("rpe_1m", Unit.meters)):
-            try:
-                errors[f"{key}_{part}"] = rpe(
-                    *_evo_pair(pairs, name),
-                    relation,
-                    delta=1.0,
-                    delta_unit=unit,
-                    pairs_from_reference=True,
-                    **align.options,
-                )
-            except FilterException:  # no pair of poses is that far apart
-                continue
-    return errors
-
-
-def _evo_pair(pairs: TrajectoryPairs, name: str) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:
-    """Fresh copies, since evo aligns in place; the names label its results."""
-    reference, estimate = pairs.reference.to_evo(), pairs.estimate.to_evo()
-    reference.name, estimate.name = "reference", name
-    return reference, estimate
+def _ape_scaled(pairs: TrajectoryPairs, fit: Similarity) -> float:
+    poses, _ = aligned(pairs, Alignment.SIM3, fit)
+    squares = np.sum((poses[:, :3, 3] - pairs.reference.positions) ** 2, axis=1)
+    return math.sqrt(squares.mean())

@@ -130,7 +130,7 @@ def rule_consistency(rule: FusionRule, seeds: int, frames: int, level: float) ->
             covariances.append(result.relative.covariance)
     if not errors:
         raise EstimationError(f"nothing was fused in {frames} frames; give more of them")
-    return consistency(np.array(errors), np.array(covariances), level)
+    return consistency(np.array(errors), np.array(covariances), level=level)
 
 
 def _is_fused(result: FrameResult) -> bool:

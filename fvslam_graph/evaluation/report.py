@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 RUNS_CAPTION = (
     "Online trajectories, but for the APE of the smoothed one. APE and RPE: RMSE, RPE from frame to frame; Sim(3): in "
     "the scale of the reference, whatever `align`. t_rel and r_rel: 100-800 m, no scale correction. ms/frame: median "
-    "without reading images."
+    "without reading images. NEES is not judged where the noise of the reference alone would double it, or where its "
+    "axes are not the camera's."
 )
+UNJUDGED = "not judged"  # in place of a NEES, where the reference is not good enough
 TEXT_COLUMNS = 4  # the first columns are text, the others numbers
 RUN_COLUMNS = (
     *("run", "mode", "scale", "status"),
@@ -71,9 +73,9 @@ def summary_table(evaluation: Evaluation) -> RichTable:
     if evaluation.drift.segments:
         table.add_row("t_rel", f"{evaluation.drift.t_rel:.2f} % ({evaluation.drift_scaled.t_rel:.2f} % after scaling)")
         table.add_row("r_rel", f"{evaluation.drift.r_rel:.3f} deg/100 m, {evaluation.drift.segments} segments")
-    if evaluation.consistency is not None:
-        nees = evaluation.consistency
-        table.add_row("NEES", f"{nees.mean:.2f} (95 % band {nees.low:.2f}-{nees.high:.2f}, {nees.count} motions)")
+    for part, nees in evaluation.nees.items():
+        said = f"{nees.mean:.2f}" if nees.judged else "not judged by this reference"
+        table.add_row(f"NEES, {part}", f"{said} (95 % band {nees.low:.2f}-{nees.high:.2f}, {nees.count} motions)")
     return table
 
 
@@ -101,7 +103,7 @@ def _row(folder: Path, run: Run) -> list[str]:
 
 def _metric_cells(metrics: dict[str, Any]) -> list[str]:
     """The columns from `align` to NEES."""
-    nees = metrics.get("nees")
+    nees = metrics.get("nees", {}).get("pose")
     return [
         metrics.get("alignment", "-"),
         _cell(_pick(metrics, "ape_trans", "rmse"), ".3f"),
@@ -110,7 +112,11 @@ def _metric_cells(metrics: dict[str, Any]) -> list[str]:
         _cell(_pick(metrics, "rpe_trans", "rmse"), ".4f"),
         _cell(_pick(metrics, "drift", "t_rel"), ".2f"),
         _cell(_pick(metrics, "drift", "r_rel"), ".3f"),
-        f"{nees['mean']:.2f} ({nees['low']:.2f}-{nees['high']:.2f})" if nees else "-",
+        "-"
+        if nees is None
+        else f"{nees['mean']:.2f} ({nees['low']:.2f}-{nees['high']:.2f})"
+        if nees["judged"]
+        else UNJUDGED,
     ]
 
 

@@ -9,7 +9,7 @@ from fvslam_graph.core.errors import ResultsError, TrajectoryError
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.association import is_folder, load_trajectory
-from fvslam_graph.evaluation.metrics import Evaluation, evaluate
+from fvslam_graph.evaluation.metrics import EstimateDetails, Evaluation, evaluate
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
 
@@ -49,13 +49,13 @@ def evaluation_of(
     align, name = Alignment.named(align), "estimate"
     if isinstance(estimated, str | Path):
         path = Path(estimated)
-        estimated, name = (read_run(path) if is_folder(path) else Trajectory.read(path)), path.stem
+        estimated, name = read_run(path) if is_folder(path) else load_trajectory(path), path.stem
     if isinstance(reference, str | Path):
         reference = load_trajectory(Path(reference))
     if isinstance(estimated, Trajectory):
         if reference is None:
             raise TrajectoryError(f"{name} needs a reference: give the trajectory to compare it with")
-        return evaluate(estimated, reference, align, name, time_offset=time_offset)
+        return evaluate(estimated, reference, align, EstimateDetails(name), time_offset)
     return _of_run(estimated, reference, align, time_offset)
 
 
@@ -71,8 +71,8 @@ def _of_run(run: Run, reference: Trajectory | None, align: Alignment, time_offse
     if relatives is not None:
         tracked = (run.frames["status"] == Status.TRACKED)[:, None, None]
         relatives = replace(relatives, covariances=np.where(tracked, relatives.covariances, np.nan))
-    evaluation = evaluate(run.online, truth, align, run.name, relatives, time_offset)
-    evaluation = replace(evaluation, frames=run.info.get("frames"))
+    details = EstimateDetails(run.name, run.info.get("frames"), relatives)
+    evaluation = evaluate(run.online, truth, align, details, time_offset)
     if run.smoothed is None:
         return evaluation
     try:

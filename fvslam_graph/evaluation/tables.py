@@ -50,7 +50,7 @@ class Table:
     def latex(self) -> str:
         """The LaTeX table environment; it needs the package booktabs."""
         alignment = "l" * self.words + "r" * (len(self.columns) - self.words)
-        head, *body = (" & ".join(map(_escaped, row)) + r" \\" for row in self._lines)
+        head, *body = (" & ".join(map(latex_escaped, row)) + r" \\" for row in self._lines)
         lines = [r"\toprule", head, r"\midrule", *body, r"\bottomrule"]
         return "\n".join(
             (
@@ -59,7 +59,7 @@ class Table:
                 f"  \\begin{{tabular}}{{{alignment}}}",
                 *(f"    {line}" for line in lines),
                 r"  \end{tabular}",
-                f"  \\caption{{{_escaped(self.caption)}}}",
+                f"  \\caption{{{latex_escaped(self.caption)}}}",
                 r"\end{table}",
                 "",
             )
@@ -84,5 +84,6 @@ class Table:
         return [[one_line(cell) for cell in row] for row in (self.columns, *self.rows)]
 
 
-def _escaped(text: str) -> str:
+def latex_escaped(text: str) -> str:
+    """Text as LaTeX shows it as it is, on one line."""
     return "".join(_LATEX.get(character, character) for character in one_line(text))

@@ -4,7 +4,6 @@ import contextlib
 import os
 import platform
 import subprocess
-import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -38,19 +37,29 @@ def _version(package: str) -> str | None:
 
 
 def peak_memory_mb() -> float:
-    """Largest resident memory of this process so far, megabytes; NaN on systems that do not tell."""
+    """Largest resident memory of this process since `forget_peak_memory`, megabytes; NaN where no system tells."""
+    # `getrusage` counts what the process that began this one had in memory.
+    with contextlib.suppress(OSError, ValueError, StopIteration):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return float(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) * 1024 / 1e6
     try:
         import resource
     except ImportError:  # Windows
         return float("nan")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak * (1 if sys.platform == "darwin" else 1024) / 1e6  # macOS counts bytes, Linux kibibytes
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # macOS counts bytes
 
 
 def forget_peak_memory() -> None:
     """Let `peak_memory_mb` begin anew, so that a run does not answer for those before it; Linux only."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
+
+
+def seconds_without_core() -> float:
+    """Seconds for which this process has waited for a core that others had; NaN on systems that do not tell."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        return float(Path("/proc/self/schedstat").read_text().split()[1]) / 1e9
+    return float("nan")
 
 
 def _git_revision() -> str | None:

@@ -37,7 +37,7 @@ from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.runs.gnss_file import read_fixes, write_fixes
 from fvslam_graph.runs.landmark_table import LANDMARK_COLUMNS, landmark_rows
 from fvslam_graph.runs.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind_of
-from fvslam_graph.runs.provenance import peak_memory_mb, provenance
+from fvslam_graph.runs.provenance import forget_peak_memory, peak_memory_mb, provenance, seconds_without_core
 from fvslam_graph.runs.results import Relatives, Run, ending_info
 
 ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
@@ -107,7 +107,8 @@ class RunWriter:
         self._finish = finish
 
     def __enter__(self) -> RunWriter:
-        self._begin = time.perf_counter()
+        self._begin, self._waited = time.perf_counter(), seconds_without_core()
+        forget_peak_memory()
         with ExitStack() as stack:
             stack.enter_context(claimed(self.folder, Kind.RUN))
             self._place = self.folder
@@ -220,7 +221,8 @@ class RunWriter:
         return {
             "frames": len(self._results),
             "statuses": Counter(result.status.value for result in self._results),
-            "seconds": time.perf_counter() - self._begin,
+            "seconds": (seconds := time.perf_counter() - self._begin),
+            "waited": (seconds_without_core() - self._waited) / seconds,  # share of that time, for a core
             "ms_per_frame": {
                 stage: {"median": float(np.median(ms)), "mean": float(np.mean(ms))} for stage, ms in times.items()
             },

@@ -49,7 +49,7 @@ def read(path: Path) -> Sequence:
     if ground_truth is not None and which != CAMERAS[0]:
         ground_truth = _of_camera(ground_truth, calibration.numbers(f"P{which}", 3, 4))
     return Sequence(
-        name=f"kitti_{folder.name}",
+        name=folder.name,
         format=FORMAT,
         camera=camera,
         stamps=stamps[indices.start : indices.stop],

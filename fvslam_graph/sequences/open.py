@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -114,6 +115,18 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
         return ()
 
 
+def sequence_name(path: str | Path) -> str:
+    """The name that a recording has everywhere, by its path alone: that of its folder, or of its file."""
+    if str(path).startswith("synthetic:"):
+        return str(path)
+    path = Path(path).absolute()
+    if path.name == "mav0":  # of EuRoC's recordings
+        return path.parent.name
+    with suppress(OSError, RuntimeError):  # which opening it says better
+        return path.name if path.expanduser().is_dir() else path.stem
+    return path.name
+
+
 def _synthetic(name: str | Path, topic: str | None) -> Sequence:
     if topic is not None:
         raise SequenceError(f"{name} is no bag, and has no topic '{topic}'")
@@ -153,7 +166,8 @@ def _recorded(path: Path, wanted: str | None, topic: str | None, fov: float | No
     if not isinstance(sequence, Sequence):
         raise SequenceError(f"the format '{name}' makes an object of {type(sequence).__name__} of {path}, no Sequence")
     left_out = sequence.ground_truth.notes if sequence.ground_truth else ()
-    return replace(sequence, format=name, notes=sequence.notes + doubts(sequence.camera) + left_out)
+    notes = sequence.notes + doubts(sequence.camera) + left_out
+    return replace(sequence, name=sequence_name(path), format=name, notes=notes)
 
 
 def _formats() -> dict[str, Format]:

@@ -1,4 +1,4 @@
-"""Many runs, one after another or in parallel; each is kept when it ends, and none is done twice."""
+"""Many runs, one after another or in parallel, each a process; each is kept when it ends, and none is done twice."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
-
 from fvslam_graph.core.errors import FvslamError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.runs.ownership import Kind, claimed, disown
 from fvslam_graph.study.jobs import Job, Row, cached_row, execute
+from fvslam_graph.study.process import execute_apart
 from fvslam_graph.study.sources import HeldSequence, Source, render
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ def execute_all(
         jobs: In the order in which they are begun.
         runs: Folder of their folders; with a scheduler, on a file system that its workers see under the same path.
         align: For the evaluation.
-        workers: Processes at once, by default one a core. 1 is this process, one run after another.
+        workers: Runs at once, by default one a core. With 1, one run after another, whose times are undisturbed.
         scheduler: Address of a running dask scheduler to use instead, such as tcp://HOST:8786.
 
     Raises:
@@ -92,7 +91,7 @@ def _bound_to_this_process(job: Job) -> str | None:
 def _one_by_one(
     jobs: Sequence[Job], pending: Mapping[int, Path], align: Alignment, images: Path
 ) -> Iterator[tuple[int, Row]]:
-    """In this process."""
+    """One after another."""
     with _kept_for_now(images):
         rendered: dict[Source, Path | None] = {}
         for number, folder in pending.items():
@@ -101,7 +100,8 @@ def _one_by_one(
                 rendered[source] = None
                 with suppress(FvslamError):  # its runs say why
                     rendered[source] = render(source, images)
-            yield number, _attempt(jobs[number], folder, align, rendered[source])
+            apart = _bound_to_this_process(jobs[number]) is None
+            yield number, _attempt(jobs[number], folder, align, rendered[source], apart=apart)
 
 
 def _distributed(
@@ -137,11 +137,12 @@ def _distributed(
         # In the order of the jobs, so that a worker stays with a recording that it has opened.
         numbers = {
             client.submit(
-                _on_worker,
+                _attempt,
                 _light(jobs[number]),
                 folder.absolute(),
                 align,
                 rendered[jobs[number].source],
+                alone=False,
                 key=folder.name,
                 priority=-number,
             ): number
@@ -153,7 +154,7 @@ def _distributed(
 
 
 def _light(job: Job) -> Job:
-    """What is sent of a job: images in memory are in a file by then."""
+    """What is sent of a job to another process: images in memory are in a file by then."""
     return replace(job, source=job.source.without_images()) if isinstance(job.source, HeldSequence) else job
 
 
@@ -210,14 +211,13 @@ def _remove_images(folder: Path) -> None:
         file.unlink()
 
 
-def _on_worker(job: Job, folder: Path, align: Alignment, rendered: Path | None) -> Row:
-    cv2.setNumThreads(1)  # as many runs as cores go on at once
-    return _attempt(job, folder, align, rendered)
-
-
-def _attempt(job: Job, folder: Path, align: Alignment, rendered: Path | None) -> Row:
+def _attempt(
+    job: Job, folder: Path, align: Alignment, rendered: Path | None, alone: bool = True, apart: bool = True
+) -> Row:
     try:
-        return execute(job, folder, align, rendered)
+        if not apart:
+            return execute(job, folder, align, rendered)
+        return execute_apart(_light(job), folder, align, rendered, alone)
     except Exception as error:  # one run that fails must not end the study
         return _failed(job, error)
 

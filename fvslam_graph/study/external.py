@@ -12,9 +12,10 @@ from fvslam_graph.core.errors import FvslamError, TrajectoryError
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.association import load_trajectory
+from fvslam_graph.evaluation.association import associate, load_trajectory
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.runs.results import Run
+from fvslam_graph.study.common_frames import nearest
 from fvslam_graph.study.jobs import Row, metric_columns
 from fvslam_graph.study.results import EXTERNAL
 
@@ -43,7 +44,7 @@ def external_run(name: str, file: str, sequence: Sequence) -> Run:
             )
         trajectory = _at_frames(trajectory.stamps.astype(int), trajectory, sequence, path)
     else:
-        trajectory = _cut(trajectory, sequence)
+        trajectory = _cut(trajectory, sequence, path)
     return Run(
         name=name,
         online=trajectory,
@@ -71,16 +72,18 @@ def external_row(name: str, file: str, sequence: Sequence, align: Alignment) -> 
     return row, run
 
 
-def _cut(trajectory: Trajectory, sequence: Sequence) -> Trajectory:
-    """The pose nearest to each frame, at most half a frame away; all, where that is one at most."""
-    after = np.clip(np.searchsorted(trajectory.stamps, sequence.stamps), 1, max(len(trajectory) - 1, 1))
-    pairs = np.minimum(np.stack([after - 1, after]), len(trajectory) - 1)
-    away = np.abs(trajectory.stamps[pairs] - sequence.stamps)
-    nearest = np.where(away[0] <= away[1], *pairs)
-    period = np.median(np.diff(sequence.stamps)) if len(sequence) > 1 else np.inf
-    kept = np.unique(nearest[away.min(axis=0) <= period / 2])
-    if len(kept) < 2:  # other units, or another clock: the evaluation says how they differ
-        return trajectory
+def _cut(trajectory: Trajectory, sequence: Sequence, path: Path) -> Trajectory:
+    """The pose nearest to each frame, at most half a frame away, and each pose once."""
+    if len(sequence) < 2:
+        raise TrajectoryError(f"{sequence.name} has {len(sequence)} frames; to be compared with {path}, it needs two")
+    rows = nearest(sequence.stamps, trajectory.stamps)
+    period = np.median(np.diff(sequence.stamps))
+    kept = np.unique(rows[np.abs(trajectory.stamps[rows] - sequence.stamps) <= period / 2])
+    if len(kept) < 2:
+        associate(
+            trajectory, sequence.ground_truth or trajectory
+        )  # other units, or another clock: says how they differ
+        raise TrajectoryError(f"{len(kept)} of {len(trajectory)} poses of {path} belong to a frame of {sequence.name}")
     return replace(trajectory, stamps=trajectory.stamps[kept], poses=tuple(trajectory.poses[row] for row in kept))
 
 

@@ -22,10 +22,12 @@ from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.pipeline import run_sequence
 from fvslam_graph.runs.ownership import Kind, claimed
-from fvslam_graph.runs.provenance import forget_peak_memory, provenance
+from fvslam_graph.runs.provenance import provenance
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study.sources import Source, fingerprint, opened
+
+VARIANT_SEPARATOR = ", "  # between the settings of a variant
 
 Row = dict[str, Any]
 """One run as numbers and words, by column; see `row_of`."""
@@ -92,9 +94,7 @@ def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = No
         if job.is_reproducible and (row := cached_row(folder, align)) is not None:
             return row
         if not (job.is_reproducible and _finished(folder)):
-            sequence = opened(job.source, rendered)
-            forget_peak_memory()
-            run_sequence(sequence, job.config, folder, method=job.method)
+            run_sequence(opened(job.source, rendered), job.config, folder, method=job.method)
         run = read_run(folder)
         evaluation = evaluate_run(folder, align=align) if run.ground_truth is not None else None
         row = job.labels() | row_of(run, evaluation) | {"folder": folder.name}
@@ -120,33 +120,36 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
 
     Errors are those of the online trajectory after alignment: `ape` (m), `ape_rot` (deg), `rpe` from frame to frame (m)
     and `rpe_1m` over a metre, all RMSE; `ape_smoothed` (m); drift `t_rel` (%) and `r_rel` (deg/100 m) without scale
-    correction, `t_rel_scaled` with it; `nees` of the relative motions. `matched` is how many landmarks V-SLAM finds in
-    an image, `ms` the mean time of a frame without reading it, `peak_mb` the memory of the process. NaN stands for
+    correction, `t_rel_scaled` with it; `nees` of the relative motions, of their rotations and of their directions, and
+    which of these the reference cannot judge (`unjudged`). `matched` is how many landmarks V-SLAM finds in an image,
+    `nis` the mean normalised innovation squared of those it takes, `ms` the mean time of a frame without reading it,
+    `peak_mb` the memory of the process, `waited` the share of its time for which it waited for a core. NaN stands for
     what the recording cannot tell.
     """
     status, times = run.frames["status"], [run.frames[name] for name in run.frames if name.endswith("_ms")]
     milliseconds = np.sum(times, axis=0) - run.frames.get("read_ms", 0.0)
-    matched = run.frames.get("matched", np.array(np.nan))
     row: Row = {
         "status": run.info["status"],
         "frames": run.info["frames"],
         "scale_source": run.info["scale_source"],
         "coverage": run.coverage,
         "tracked": float(np.isin(status, (Status.TRACKED, Status.STATIC)).mean()),
-        "matched": float(np.nanmean(matched)) if np.isfinite(matched).any() else np.nan,
+        "matched": _mean(run, "matched"),
+        "nis": _mean(run, "nis"),
         "note": _note(run),
         "ms": float(np.mean(milliseconds)),
         "ms_p95": float(np.percentile(milliseconds, 95)),
         "peak_mb": run.info.get("totals", {}).get("peak_memory_mb", np.nan),
+        "waited": run.info.get("totals", {}).get("waited", np.nan),
     }
     if evaluation is None:
-        return row | dict.fromkeys(METRIC_COLUMNS, np.nan)
+        return row | dict.fromkeys(METRIC_COLUMNS, np.nan) | {"unjudged": ""}
     return row | metric_columns(evaluation)
 
 
-def metric_columns(evaluation: Evaluation) -> dict[str, float]:
+def metric_columns(evaluation: Evaluation) -> Row:
     """The numbers of an evaluation that tables show; see `row_of`."""
-    nees = evaluation.consistency
+    nees = {part: found.mean for part, found in evaluation.nees.items() if found.judged}
     return {
         "ape": _rmse(evaluation, "ape_trans"),
         "ape_rot": _rmse(evaluation, "ape_rot"),
@@ -156,10 +159,13 @@ def metric_columns(evaluation: Evaluation) -> dict[str, float]:
         "t_rel_scaled": evaluation.drift_scaled.t_rel,
         "r_rel": evaluation.drift.r_rel,
         "scale": evaluation.scale,
-        "nees": np.nan if nees is None else nees.mean,
+        "nees": nees.get("pose", np.nan),
+        "nees_rotation": nees.get("rotation", np.nan),
+        "nees_direction": nees.get("direction", np.nan),
         "path": evaluation.pairs.reference.path_length,
         "associated": len(evaluation.pairs.indices),
         "ape_smoothed": evaluation.smoothed,
+        "unjudged": ", ".join(part for part, found in evaluation.nees.items() if not found.judged),
     }
 
 
@@ -173,6 +179,8 @@ METRIC_COLUMNS = (
     "r_rel",
     "scale",
     "nees",
+    "nees_rotation",
+    "nees_direction",
     "path",
     "associated",
     "ape_smoothed",
@@ -183,6 +191,12 @@ def _note(run: Run) -> str:
     """A note that a reader of the table has to know of a run that came to its end."""
     smoothed = run.info.get("smoothed") or ""
     return f"the smoothed trajectory is {smoothed}" if smoothed.startswith("not determined") else ""
+
+
+def _mean(run: Run, column: str) -> float:
+    """Of the frames that have it; NaN where none has."""
+    values = run.frames.get(column, np.array(np.nan))
+    return float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
 
 
 def _rmse(evaluation: Evaluation, name: str) -> float:

@@ -61,7 +61,7 @@ def write_report(
         runs=f"{finished} of {count} runs came to their end.",
         summary=results.summary(),
         figures=_pictures(figures),
-        differences=differences_table(found),
+        differences=differences_table(found, results.circumstances),
         verdicts=verdicts(found),
         trajectories={sequence: _pictures(files) for sequence, files in trajectories.items()},
         failures=results.failures(),

@@ -13,7 +13,9 @@ import pandas as pd
 
 from fvslam_graph.core.files import write_file, writing
 from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.report import UNJUDGED
 from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.study.common_frames import COMMON_COLUMNS
 from fvslam_graph.study.jobs import METRIC_COLUMNS, Row
 
 LABELS = ("sequence", "mode", "preset", "variant")
@@ -26,14 +28,17 @@ RESULTS = (
     "coverage",
     "tracked",
     "matched",
+    "nis",
     *METRIC_COLUMNS,
+    *COMMON_COLUMNS,
+    "unjudged",
     "note",
     "folder",
 )
 EXTERNAL = "external"
 """The preset of other people's systems."""
-COSTS = ("ms", "ms_p95", "peak_mb")
-_WORDS = (*LABELS, "status", "scale_source", "note", "folder")
+COSTS = ("ms", "ms_p95", "peak_mb", "waited")
+_WORDS = (*LABELS, "status", "scale_source", "unjudged", "note", "folder")
 _COUNTS = ("seed", "frames")
 
 _SUMMARY = {  # column of the table: its name, digits, factor
@@ -43,11 +48,26 @@ _SUMMARY = {  # column of the table: its name, digits, factor
     "t_rel": ("t_rel (%)", ".2f", 1.0),
     "r_rel": ("r_rel (deg/100 m)", ".3f", 1.0),
     "nees": ("NEES", ".1f", 1.0),
+    "nees_rotation": ("NEES, rotation", ".1f", 1.0),
+    "nees_direction": ("NEES, direction", ".1f", 1.0),
+    "nis": ("NIS", ".1f", 1.0),
     "coverage": ("coverage (%)", ".1f", 100.0),
-    "associated": ("matched", ".0f", 1.0),
+    "associated": ("poses", ".0f", 1.0),
+    "common": ("common", ".0f", 1.0),
+    "ape_common": ("APE, common (m)", ".3f", 1.0),
+    "rpe_common": ("RPE, common (m)", ".4f", 1.0),
     "ms": ("ms/frame", ".1f", 1.0),
     "peak_mb": ("peak MB", ".0f", 1.0),
 }
+
+_COLUMNS = (
+    "APE and RPE (frame to frame): RMSE of translation; smoothed: APE of the smoothed trajectory. t_rel and r_rel: "
+    "KITTI's, 100-800 m, without scale correction. NEES: 6, 3 and 2 are consistent; not judged where the noise of the "
+    "reference alone would double it, or where its axes are not the camera's. NIS: of V-SLAM's landmarks, 2 is "
+    "consistent. poses: those with ground truth. ms/frame: mean without reading images"
+)
+UNDISTURBED = 0.02  # share of the time for which a process may wait for a core
+_NEES_PARTS = {"nees": "pose", "nees_rotation": "rotation", "nees_direction": "direction"}
 
 
 @dataclass(frozen=True)
@@ -87,30 +107,61 @@ class StudyResults:
         return self.table[np.array([key in done for key in _keys(self.table)]) & (self.table["status"] != "finished")]
 
     @property
+    def circumstances(self) -> str:
+        """What holds of all errors: which trajectories, how they were aligned, where their scale is from."""
+        sources = " / ".join(sorted(set(self.finished["scale_source"]) - {""}))
+        return f"Online trajectories, {self.align} alignment, scale from {sources or 'nothing'}."
+
+    @property
     def caption(self) -> str:
         """The caption: what a reader has to know of the numbers."""
-        sources = " / ".join(sorted(set(self.finished["scale_source"]) - {""}))
-        return (
-            f"{' / '.join(self.table['sequence'].unique())}. Online trajectories, {self.align} alignment, scale from "
-            f"{sources or 'nothing'}. Median, and range over the seeds in brackets. APE and RPE (frame to frame): RMSE "
-            "of translation; smoothed: APE of the smoothed trajectory. t_rel and r_rel: KITTI's, 100-800 m, without "
-            "scale correction. matched: poses with ground truth. ms/frame: mean without reading images."
+        failed = len(self.table) - len(self.finished)
+        common = (
+            "common: how many frames all that came to their end have a pose for, and errors on these; the other errors "
+            "are of each one's own frames."
+            if self._frames_differ
+            else "All that came to their end have a pose for the same frames."
         )
+        return (
+            f"{' / '.join(self.table['sequence'].unique())}. {self.circumstances} Median, and range over the seeds in "
+            f"brackets. {failed} of {len(self.table)} runs failed and have no error. {common} {_COLUMNS}"
+            f"{self._sharing}."
+        )
+
+    @property
+    def _sharing(self) -> str:
+        """Whether times are those of processes that had a core each."""
+        waited = self.finished["waited"].max()
+        if np.isnan(waited):
+            return ""
+        if waited <= UNDISTURBED:
+            return ", undisturbed"
+        return f"; cores were shared, and runs waited for one up to {100 * waited:.0f} % of the time"
+
+    @property
+    def _frames_differ(self) -> bool:
+        """Whether some run has errors of other frames than those that all have."""
+        known = self.finished.dropna(subset=["associated"])
+        return bool((known["common"] != known["associated"]).any())
 
     def summary(self) -> Table:
         """One row for each sequence, mode, preset and variant: median and range over the seeds."""
         own = self.table[self.table["preset"] != EXTERNAL]
         shown = [label for label in LABELS if label == "mode" or own[label].nunique() > 1]
+        columns = {name: what for name, what in _SUMMARY.items() if name not in COMMON_COLUMNS or self._frames_differ}
         rows = []
         for common, group in self.table.groupby(list(LABELS), sort=False):
             labels = dict(zip(LABELS, common, strict=True))
             finished = group[group["status"] == "finished"]
             runs = f"{len(finished)}/{len(group)}"
-            cells = [spread(finished[key] * factor, digits) for key, (_, digits, factor) in _SUMMARY.items()]
+            cells = [
+                UNJUDGED if _unjudged(finished, key) else spread(finished[key] * factor, digits)
+                for key, (_, digits, factor) in columns.items()
+            ]
             scale = "/".join(sorted(set(finished["scale_source"]) - {""})) or "-"
             rows.append([*(labels[label] for label in shown), scale, runs, *cells])
-        columns = (*shown, "scale", "runs", *(name for name, _, _ in _SUMMARY.values()))
-        return Table(columns, rows, len(shown) + 2, self.caption)
+        names = (*shown, "scale", "runs", *(name for name, _, _ in columns.values()))
+        return Table(names, rows, len(shown) + 2, self.caption)
 
     def failures(self) -> Table:
         """The runs that did not come to their end, or not with all that they should leave, and why."""
@@ -135,6 +186,12 @@ class StudyResults:
             write_file(folder / "results.parquet", parquet.getvalue())
             write_file(folder / "summary.md", self.summary().markdown())
             write_file(folder / "summary.tex", self.summary().latex())
+
+
+def _unjudged(runs: pd.DataFrame, column: str) -> bool:
+    """Whether the reference cannot judge this NEES of any of the runs."""
+    part = _NEES_PARTS.get(column)
+    return part is not None and bool(runs["unjudged"].str.contains(part).any()) and bool(runs[column].isna().all())
 
 
 def _keys(table: pd.DataFrame) -> list[tuple[Any, ...]]:

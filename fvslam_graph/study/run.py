@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from fvslam_graph.core.errors import FvslamError, StudyError
@@ -15,6 +16,7 @@ from fvslam_graph.evaluation.plots import plot_runs
 from fvslam_graph.runs.ownership import Kind, claimed
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
+from fvslam_graph.study.common_frames import with_common_frames, with_own_frames
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.external import external_row
 from fvslam_graph.study.figures import FIGURE_SUFFIXES, draw_study
@@ -61,9 +63,8 @@ def run_study(
             if row["status"] != "finished":
                 _log.warning("%s on %s: %s", row["mode"], row["sequence"], row["status"])
         rows: dict[int, Row] = dict(watch(execute_all(jobs, out / "runs", study.align, workers, scheduler), len(jobs)))
-        results = StudyResults.of(
-            [*(rows[number] for number in range(len(jobs))), *(row for row, _ in others)], study.align
-        )
+        ordered = [rows[number] for number in range(len(jobs))]
+        results = StudyResults.of(_on_common_frames(study, ordered, others, out), study.align)
         _require_no_loss(results, out)
         found = differences(results)
         with writing(out):
@@ -76,6 +77,28 @@ def run_study(
             write_file(out / "study.yaml", yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False))
         results.write(out)
     return results
+
+
+def _on_common_frames(
+    study: Study, rows: Sequence[Row], others: Sequence[tuple[Row, Run | None]], out: Path
+) -> list[Row]:
+    """All rows, sequence by sequence also compared on the frames that all methods have a pose for."""
+    every = [*((row, None) for row in rows), *others]
+    found = {id(row): row for row, _ in every}
+    for source in study.sequences:
+        here = [
+            (row, run) for row, run in every if row["sequence"] == source.label and np.isfinite(row.get("ape", np.nan))
+        ]
+        known = [row for row, _ in here]
+        if len({(row["coverage"], row["associated"]) for row in known}) > 1:
+            sequence = source.open()
+            assert sequence.ground_truth is not None, "there are errors"
+            online = (run.online if run else read_run(out / "runs" / row["folder"]).online for row, run in here)
+            changed = with_common_frames(known, online, sequence.stamps, sequence.ground_truth, study.align)
+        else:
+            changed = [with_own_frames(row) for row in known]
+        found |= {id(row): new for row, new in zip(known, changed, strict=True)}
+    return list(found.values())
 
 
 def _require_no_loss(results: StudyResults, out: Path) -> None:

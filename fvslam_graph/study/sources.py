@@ -18,7 +18,7 @@ from fvslam_graph.core.files import file_name, replacing
 from fvslam_graph.core.plugins import Kind, find
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.runs.ownership import kind_of
-from fvslam_graph.sequences.open import open_sequence
+from fvslam_graph.sequences.open import open_sequence, sequence_name
 
 MAX_RENDERED_SIZE = 2e9  # bytes of rendered images
 
@@ -45,7 +45,7 @@ class Source(BaseModel):
     @property
     def label(self) -> str:
         """The name in tables, also where the recording cannot be opened."""
-        return self.name or (self.path if self.is_synthetic else Path(self.path).absolute().name)
+        return self.name or sequence_name(self.path)
 
     @property
     def is_synthetic(self) -> bool:

@@ -23,14 +23,14 @@ from pydantic import (
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import ConfigError, StudyError
 from fvslam_graph.core.files import file_name
-from fvslam_graph.core.modes import MODES, known_mode
+from fvslam_graph.core.modes import MODES, known_mode, reads
 from fvslam_graph.core.outside import Method
 from fvslam_graph.core.plugins import Plugin, of_method
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.jobs import Job
+from fvslam_graph.study.jobs import VARIANT_SEPARATOR, Job
 from fvslam_graph.study.sources import HeldSequence, Source
 
 
@@ -147,23 +147,46 @@ class Study(BaseModel):
         return self.model_copy(update={"sequences": sequences, "external": external})
 
     def jobs(self) -> list[Job]:
-        """All runs, sequence by sequence.
+        """All runs, sequence by sequence; what a mode does not read makes no other runs of it.
 
         Raises:
-            ConfigError: There is no such setting, or a value is out of its range.
+            ConfigError: There is no such setting, a value is out of its range, or none of the modes reads it.
         """
-        fixed = [_setting(name, value) for name, value in self.settings.items() if not isinstance(value, list)]
-        varied = [
-            [_setting(name, value) for value in values]
-            for name, values in self.settings.items()
-            if isinstance(values, list)
+        for name in self.settings:
+            if not any(reads(mode, name) for mode in self.modes):
+                self._checked({name: value} for value in self._values(name))
+                raise ConfigError(
+                    f"none of the modes {', '.join(map(str, self.modes))} reads the setting '{name}'; leave it out"
+                )
+        combinations = [
+            dict(zip(self.settings, values, strict=True))
+            for values in itertools.product(*(self._values(name) for name in self.settings))
         ]
-        return [
-            _job(source, mode, preset, [f"seed={seed}", *fixed, *variant], ", ".join(variant))
-            for source, preset, variant, mode, seed in itertools.product(
-                self.sequences, self.presets, itertools.product(*varied), self.modes, self.seeds
+        self._checked(combinations)
+        jobs = (
+            self._job(source, preset, combination, mode, seed)
+            for source, preset, combination, mode, seed in itertools.product(
+                self.sequences, self.presets, combinations, self.modes, self.seeds
             )
-        ]
+        )
+        return list(dict.fromkeys(jobs))
+
+    def _values(self, name: str) -> list[Any]:
+        values = self.settings[name]
+        return values if isinstance(values, list) else [values]
+
+    def _checked(self, combinations: Iterable[dict[str, Any]]) -> None:
+        for combination in combinations:
+            load_config(self.presets[0], settings=[_setting(name, value) for name, value in combination.items()])
+
+    def _job(self, source: Source, preset: str, combination: dict[str, Any], mode: str | Plugin, seed: int) -> Job:
+        read = {name: _setting(name, value) for name, value in combination.items() if reads(mode, name)}
+        variant = VARIANT_SEPARATOR.join(read[name] for name in read if isinstance(self.settings[name], list))
+        settings = [f"seed={seed}", *read.values()]
+        if isinstance(mode, str):
+            return Job(source, load_config(preset, settings=[f"mode={mode}", *settings]), variant)
+        config = load_config(preset, settings=settings)
+        return Job(source, config.model_copy(update={"mode": mode.name}), variant, mode)
 
 
 def load_study(file: Path) -> Study:
@@ -237,12 +260,5 @@ def default_folder(study: Study) -> Path:
     return Path("runs") / file_name(study.name.lower())
 
 
-def _job(source: Source, mode: str | Plugin, preset: str, settings: list[str], variant: str) -> Job:
-    if isinstance(mode, str):
-        return Job(source, load_config(preset, settings=[f"mode={mode}", *settings]), variant)
-    config = load_config(preset, settings=settings)
-    return Job(source, config.model_copy(update={"mode": mode.name}), variant, mode)
-
-
 def _setting(name: str, value: Any) -> str:
-    return f"{name}={json.dumps(value)}"
+    return f"{name}={json.dumps(value, separators=(',', ':'))}"  # without VARIANT_SEPARATOR

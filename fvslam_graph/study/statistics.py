@@ -1,9 +1,9 @@
-"""Whether a difference between two modes is more than chance: paired, with bootstrap intervals."""
+"""Whether a difference between two modes is more than chance: the unit is the recording."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -13,20 +13,24 @@ from scipy.stats import bootstrap
 
 from fvslam_graph.core.files import one_line
 from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.study.jobs import VARIANT_SEPARATOR
 from fvslam_graph.study.results import EXTERNAL, StudyResults
 
 CONFIDENCE = 0.95
 RESAMPLES = 9999
-MIN_VALUES = 5  # values that tell something about their spread
+MIN_RECORDINGS = 5  # which tell something about their spread
 ALL = "all sequences"
 COMPARED = {"ape": "APE", "rpe": "RPE"}
 DIFFERENCES_CAPTION = (
-    "Ratio of the errors of two modes on the same sequence with the same seed and settings: geometric mean and its "
-    "95 % bootstrap interval (percentiles). On one sequence it is over the seeds, and tells chance in the estimator; "
-    "over all sequences each counts once, with the mean of its seeds, and it tells chance in the sequences, too. An "
-    "interval from five values is too narrow (it holds in five cases of six, not in 19 of 20), and of twenty "
-    "comparisons without a difference one looks significant."
+    "Ratio of the errors of two modes on the frames that all have a pose for, with the same settings and, where both "
+    "have seeds, the same seed. Geometric mean, and in brackets its range: over the seeds on one sequence, over the "
+    "sequences on all. n is the number of sequences, each of which counts once, with the mean of its seeds; the 95 % "
+    f"interval is a bootstrap over them (percentiles), and there is none below {MIN_RECORDINGS}, as another seed is no "
+    "other recording. An interval from five is too narrow (it holds in five cases of six, not in 19 of 20), and of "
+    "twenty comparisons without a difference one looks significant. failed: pairs of runs of which one has no error."
 )
+
+_Settings = dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -34,12 +38,14 @@ class Difference:
     """How two modes compare.
 
     Attributes:
-        metric: Column of the results.
-        sequence: Or ALL; with preset and variant where a study has several.
+        metric: One of COMPARED.
+        sequence: Or ALL; with preset and settings where a study has several.
         a, b: The modes.
         ratio: Geometric mean of a / b; below 1, a is better.
-        low, high: Its interval; NaN where there are too few pairs for one.
-        pairs: How many ratios: seeds, or sequences.
+        range: The smallest and the largest ratio: of the seeds of one sequence, or of all sequences.
+        low, high: 95 % interval over the recordings; NaN where they are too few for one.
+        recordings: How many.
+        failed: How many pairs of runs have no ratio.
     """
 
     metric: str
@@ -47,9 +53,11 @@ class Difference:
     a: str
     b: str
     ratio: float
+    range: tuple[float, float]
     low: float
     high: float
-    pairs: int
+    recordings: int
+    failed: int
 
     @property
     def significant(self) -> bool:
@@ -58,39 +66,66 @@ class Difference:
 
 
 def differences(results: StudyResults, seed: int = 0) -> list[Difference]:
-    """All pairs of modes, by sequence and, where there are several, over all of them.
+    """All pairs of modes, other systems among them, by sequence and, where there are several, over all of them.
 
     Args:
-        results: Other people's trajectories, which have no seeds, are left out.
+        results: All runs.
         seed: Of the resampling.
     """
-    own = results.finished[results.finished["preset"] != EXTERNAL]
-    alike = own.groupby(["preset", "variant"], sort=False)  # runs with other settings are not of the same kind
-    return [
-        replace(difference, sequence=", ".join((difference.sequence, *settings)))
-        for metric in COMPARED
-        for labels, runs in alike
-        for settings in [[label for label in labels if label and len(alike) > 1]]
-        for difference in _of_metric(runs, metric, seed)
+    methods = [
+        (str(mode), str(preset), _settings(variant), runs)
+        for (preset, variant, mode), runs in results.table.groupby(["preset", "variant", "mode"], sort=False)
     ]
+    presets = {preset for _, preset, _, _ in methods} - {EXTERNAL}
+    variants = {variant for variant in results.table["variant"] if variant}
+    found: list[Difference] = []
+    for metric in COMPARED:
+        for (a, preset, ours, first), (b, other, theirs, second) in combinations(methods, 2):
+            preset = other if preset == EXTERNAL else preset
+            alike = other in (preset, EXTERNAL) and all(theirs.get(name, ours[name]) == ours[name] for name in ours)
+            if a == b or not alike:
+                continue
+            both = VARIANT_SEPARATOR.join(f"{name}={value}" for name, value in (ours | theirs).items())
+            labels = [preset] * (len(presets) > 1) + [both] * (len(variants) > 1 and bool(both))
+            found += _compared(metric, a, b, _ratios(first, second, f"{metric}_common"), labels, seed)
+    return found
 
 
-def _of_metric(own: pd.DataFrame, metric: str, seed: int) -> Iterator[Difference]:
-    logs = own.assign(log=np.log(own[metric].where(own[metric] > 0)))
-    paired = logs.pivot_table("log", ["sequence", "seed"], "mode", sort=False)
-    for a, b in combinations([mode for mode in own["mode"].unique() if mode in paired], 2):
-        pairs = (paired[a] - paired[b]).dropna()
-        by_sequence = {name: group.to_numpy() for name, group in pairs.groupby("sequence", sort=False)}
-        if len(by_sequence) > 1:
-            by_sequence[ALL] = np.array([ratios.mean() for ratios in by_sequence.values()])
-        for name, ratios in by_sequence.items():
-            ratio, low, high = (float(np.exp(value)) for value in (ratios.mean(), *interval(ratios, seed)))
-            yield Difference(metric, str(name), a, b, ratio, low, high, len(ratios))
+def _settings(variant: str) -> _Settings:
+    """The settings of a variant by their name."""
+    return dict(setting.split("=", 1) for setting in variant.split(VARIANT_SEPARATOR) if setting)
+
+
+def _ratios(a: pd.DataFrame, b: pd.DataFrame, column: str) -> pd.Series:
+    """Logarithms of the ratios of all pairs of runs, by sequence; NaN where one of them has no error."""
+    both = [a, b]
+    paired = ["sequence", *(["seed"] if all(runs["seed"].notna().all() for runs in both) else [])]
+    logs = [runs[paired].assign(log=np.log(runs[column].where(runs[column] > 0))) for runs in both]
+    merged = logs[0].merge(logs[1], on=paired)
+    ratios: pd.Series = (merged["log_x"] - merged["log_y"]).set_axis(merged["sequence"])
+    return ratios
+
+
+def _compared(metric: str, a: str, b: str, ratios: pd.Series, labels: Sequence[str], seed: int) -> Iterator[Difference]:
+    """On each sequence that has ratios (by sequence, logarithms), and on all."""
+    known = ratios.dropna()
+    groups = {str(name): known[name] for name in dict.fromkeys(known.index)}
+    means = np.array([np.mean(logs) for logs in groups.values()])
+    if len(groups) > 1:
+        groups[ALL] = means
+    for name, logs in groups.items():
+        whole = name == ALL
+        values = [np.mean(logs), np.min(logs), np.max(logs), *(interval(means, seed) if whole else (np.nan, np.nan))]
+        ratio, smallest, largest, low, high = (float(np.exp(value)) for value in values)
+        failed = int(ratios.isna().sum() if whole else ratios[[name]].isna().sum())
+        label = ", ".join((name, *labels))
+        recordings = len(means) if whole else 1
+        yield Difference(metric, label, a, b, ratio, (smallest, largest), low, high, recordings, failed)
 
 
 def interval(values: NDArray[np.float64], seed: int) -> tuple[float, float]:
     """Bootstrap interval of the mean of values (n,); NaN where they are too few to tell anything about their spread."""
-    if len(values) < MIN_VALUES:
+    if len(values) < MIN_RECORDINGS:
         return np.nan, np.nan
     found = bootstrap(
         (values,),
@@ -103,37 +138,43 @@ def interval(values: NDArray[np.float64], seed: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
-def differences_table(found: Sequence[Difference]) -> Table:
-    """One row a comparison."""
+def differences_table(found: Sequence[Difference], circumstances: str = "") -> Table:
+    """One row a comparison; `circumstances` begin the caption."""
     rows = [
         [
             COMPARED[difference.metric],
             difference.sequence,
             f"{difference.a} / {difference.b}",
-            f"{difference.ratio:.3f}",
+            f"{difference.ratio:.3f} ({difference.range[0]:.3f}-{difference.range[1]:.3f})",
             "-" if np.isnan(difference.low) else f"{difference.low:.3f} to {difference.high:.3f}",
-            str(difference.pairs),
-            "yes" if difference.significant else "no",
+            str(difference.recordings),
+            str(difference.failed),
+            "-" if np.isnan(difference.low) else "yes" if difference.significant else "no",
         ]
         for difference in found
     ]
-    return Table(
-        ("error", "sequence", "modes", "ratio", "95 % interval", "pairs", "significant"), rows, 3, DIFFERENCES_CAPTION
-    )
+    columns = ("error", "sequence", "modes", "ratio", "95 % interval", "n", "failed", "significant")
+    return Table(columns, rows, 3, f"{circumstances} {DIFFERENCES_CAPTION}".strip())
 
 
 def verdicts(found: Sequence[Difference]) -> list[str]:
-    """A sentence for each metric and sequence on which differences are significant, and which are not."""
+    """A sentence for each metric: which differences over all recordings are significant, and which are not."""
     sentences = []
-    for metric, sequence in dict.fromkeys((difference.metric, difference.sequence) for difference in found):
-        here = [difference for difference in found if (difference.metric, difference.sequence) == (metric, sequence)]
-        unclear = ", ".join(f"{difference.a} and {difference.b}" for difference in here if not difference.significant)
-        if any(np.isnan(difference.low) for difference in here):
-            what = "sequences" if sequence.startswith(ALL) else "seeds"
-            said = f"fewer than {MIN_VALUES} {what}, too few to tell a difference from chance"
+    several = any(difference.sequence.startswith(ALL) for difference in found)
+    whole = [difference for difference in found if difference.sequence.startswith(ALL) or not several]
+    for metric, sequence in dict.fromkeys((difference.metric, difference.sequence) for difference in whole):
+        here = [difference for difference in whole if (difference.metric, difference.sequence) == (metric, sequence)]
+        counts = sorted({difference.recordings for difference in here})
+        n = "-".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
+        judged = [difference for difference in here if not np.isnan(difference.low)]
+        if not judged:
+            said = f"too few recordings to tell a difference from chance; {MIN_RECORDINGS} are needed"
         else:
-            said = "; ".join((*_better(here), f"not significant: {unclear}" if unclear else "all are significant"))
-        sentences.append(one_line(f"{COMPARED[metric]} on {sequence}: {said}."))
+            unclear = ", ".join(f"{one.a} and {one.b}" for one in judged if not one.significant)
+            left = f"too few recordings for {len(here) - len(judged)} others" if len(judged) < len(here) else ""
+            rest = (f"not significant: {unclear}" if unclear else "all are significant", left)
+            said = "; ".join((*_better(judged), *filter(None, rest)))
+        sentences.append(one_line(f"{COMPARED[metric]} on {sequence} (n = {n}): {said}."))
     return sentences
 
 

@@ -135,9 +135,9 @@ def test_metrics_json_has_null_for_what_is_not_known(tmp_path: Path) -> None:
     truth = drive(30)
     evaluate(truth.from_origin(), truth).write(tmp_path / "new")
     metrics = json.loads((tmp_path / "new" / "metrics.json").read_text())
-    assert (metrics["frames"], metrics["coverage"], metrics["nees"]) == (None, None, None)
+    assert (metrics["frames"], metrics["coverage"], metrics["nees"]) == (None, None, {})
     assert (metrics["drift"]["t_rel"], metrics["drift"]["segments"]) == (None, 0)
-    assert (metrics["matched"], metrics["poses"], metrics["alignment"]) == (30, 30, "se3")
+    assert (metrics["associated"], metrics["poses"], metrics["alignment"]) == (30, 30, "se3")
     assert {path.stem for path in (tmp_path / "new").glob("*.zip")} == set(ERRORS)
     assert len(Trajectory.read_tum(tmp_path / "new" / "reference.tum")) == 30
 

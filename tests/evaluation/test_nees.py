@@ -89,6 +89,6 @@ def test_relative_errors_are_the_perturbations() -> None:
     kept = [0, 2, 3, 4, 5]
     known = Trajectory(reference.stamps[kept], tuple(reference.poses[i] for i in kept))
 
-    errors, scaled = relative_errors(associate(estimate, known), Relatives(previous, matrices, covariances), scale=2.0)
-    assert np.allclose(errors, perturbations[[3, 4]], atol=1e-9)
-    assert np.array_equal(scaled, np.tile(np.diag([1.0, 1.0, 1.0, 4.0, 4.0, 4.0]), (2, 1, 1)))
+    found = relative_errors(associate(estimate, known), Relatives(previous, matrices, covariances), scale=2.0)
+    assert np.allclose(found.errors, perturbations[[3, 4]], atol=1e-9)
+    assert np.array_equal(found.covariances, np.tile(np.diag([1.0, 1.0, 1.0, 4.0, 4.0, 4.0]), (2, 1, 1)))

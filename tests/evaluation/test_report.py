@@ -57,7 +57,9 @@ def test_the_tables_hold_all_runs(make_run: MakeRun) -> None:
     assert all(name in text for name in ("good", "bad|run", "[unit]", *RUN_COLUMNS))
 
 
-@pytest.mark.parametrize("content", ["{", "null", '{"drift": 3}', '{"ape_scaled": "x"}', '{"nees": {"mean": 1}}'])
+@pytest.mark.parametrize(
+    "content", ["{", "null", '{"drift": 3}', '{"ape_scaled": "x"}', '{"nees": {"pose": {"mean": 1}}}']
+)
 def test_a_damaged_metrics_file_is_one_sentence(make_run: MakeRun, content: str) -> None:
     folder = make_run(truth=drive(20))
     (folder / "metrics.json").write_text(content)

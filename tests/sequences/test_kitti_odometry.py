@@ -23,7 +23,7 @@ def sequence_folder(tmp_path, write_images):
 
 def test_everything_is_read(sequence_folder):
     sequence = open_sequence(sequence_folder)
-    assert (sequence.name, sequence.format, len(sequence)) == ("kitti_07", "kitti-odometry", 10)
+    assert (sequence.name, sequence.format, len(sequence)) == ("07", "kitti-odometry", 10)
     assert (sequence.camera.width, sequence.camera.height, sequence.camera.fx, sequence.camera.cx) == (64, 48, 50, 31.5)
     np.testing.assert_allclose(sequence.stamps, 0.1 * np.arange(10))
     np.testing.assert_allclose(sequence.ground_truth.positions[:, 2], np.arange(10))

@@ -64,11 +64,11 @@ def test_killed_and_started_again(jobs, serial, tmp_path, monkeypatch):
 
     executed = []
 
-    def spy(one, folder, align, rendered, execute=execution.execute):
+    def spy(one, *arguments, execute=execution.execute_apart):
         executed.append(jobs.index(one))
-        return execute(one, folder, align, rendered)
+        return execute(one, *arguments)
 
-    monkeypatch.setattr(execution, "execute", spy)
+    monkeypatch.setattr(execution, "execute_apart", spy)
     rows = dict(execute_all(jobs, tmp_path / "runs", SIM3, workers=1))
     assert sorted([*done, *executed]) == list(range(len(jobs)))
     assert table(rows) == table(serial)
@@ -77,12 +77,12 @@ def test_killed_and_started_again(jobs, serial, tmp_path, monkeypatch):
 def test_a_run_that_fails_is_a_row_with_its_reason(job, tmp_path, monkeypatch):
     jobs = [job(path=str(tmp_path / "absent")), job("scale.source=oracle"), job()]
 
-    def fails(one, folder, align, rendered, execute=execution.execute):
+    def fails(one, *arguments, execute=execution.execute_apart):
         if one.config.scale.source == "oracle":
             raise MemoryError
-        return execute(one, folder, align, rendered)
+        return execute(one, *arguments)
 
-    monkeypatch.setattr(execution, "execute", fails)
+    monkeypatch.setattr(execution, "execute_apart", fails)
     rows = dict(execute_all(jobs, tmp_path / "runs", SIM3, workers=1))
     assert rows[0]["status"] == f"failed: {tmp_path / 'absent'} does not exist"
     assert rows[1]["status"] == "failed: MemoryError"

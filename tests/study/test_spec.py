@@ -25,13 +25,13 @@ def test_a_grid(tmp_path):
     study = load_study(file)
     jobs = study.jobs()
     assert (study.name, study.align) == ("grid", Alignment.SIM3)
-    assert len(jobs) == len(set(jobs)) == 2 * 2 * 2 * 3
+    assert len(jobs) == len(set(jobs)) == 2 * 3 * (1 + 2)  # vo does not read the weight
     assert [job.labels() for job in (jobs[0], jobs[-1])] == [
         {
             "sequence": "synthetic:uav?frames=60",
             "mode": "vo",
             "preset": "tuned",
-            "variant": "fusion.weight=0.3",
+            "variant": "",
             "seed": 0,
         },
         {"sequence": "A", "mode": "average", "preset": "tuned", "variant": "fusion.weight=0.5", "seed": 2},
@@ -63,6 +63,8 @@ def test_what_is_not_said():
         ),
         ("sequences: [a]\nsettings: {fusion.weight: [0.5, 3]}", "the setting 'fusion.weight' cannot be 3"),
         ("sequences: [a, b/a]", "two have the same name"),
+        ("sequences: [a]\nmodes: [vo]\nsettings: {graph.lag: 5}", "none of the modes vo reads the setting 'graph.lag'"),
+        ("sequences: [a]\nmodes: [vo]\nsettings: {graph.lga: 5}", "there is no setting 'graph.lga'"),
         ("sequences: 5", "the entry 'sequences' cannot be 5"),
         ("sequences: []", "at least 1 item"),
         ("sequences: [a]\nseeds: 0", "at least 1 item"),
