@@ -131,14 +131,15 @@ def plot(
     landmarks: Annotated[
         str | None,
         typer.Option(
-            help="Also show the landmarks of visual SLAM in these frames of the first run.", metavar="N,N,..."
+            help="Also show the landmarks of visual SLAM in these frames of the first run, or nearest to them.",
+            metavar="N,N,...",
         ),
     ] = None,
 ) -> None:
     """Plot trajectories, errors, speed, scale and inliers of one or several runs, as PNG and PDF."""
     from fvslam_graph.evaluation.alignment import Alignment
-    from fvslam_graph.evaluation.landmark_plots import plot_landmarks
-    from fvslam_graph.evaluation.plots import plot_runs
+    from fvslam_graph.evaluation.plots.landmarks import plot_landmarks
+    from fvslam_graph.evaluation.plots.runs import plot_runs
     from fvslam_graph.runs.run_folder import read_run
 
     shown = plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]) if landmarks is not None else []
@@ -270,7 +271,7 @@ def demo(
     """Fly a small UAV over generated terrain, estimate its motion in all modes, and compare."""
     from fvslam_graph.core.config import Mode, load_config
     from fvslam_graph.evaluation.alignment import Alignment
-    from fvslam_graph.evaluation.plots import plot_runs
+    from fvslam_graph.evaluation.plots.runs import plot_runs
     from fvslam_graph.evaluation.report import runs_table
     from fvslam_graph.evaluation.runs import evaluate_run
     from fvslam_graph.runs.run_folder import read_run

@@ -16,6 +16,8 @@ from fvslam_graph.cli import main
 from fvslam_graph.simulation import synthetic
 from fvslam_graph.simulation.synthetic import synthetic_sequence
 
+from .drawn import drawn  # noqa: F401
+
 pytest_plugins = ["fvslam_graph.testing"]
 
 ROOT = Path(__file__).parents[1]

@@ -13,8 +13,8 @@ from fvslam_graph.core.config import Mode
 from fvslam_graph.core.errors import ConfigError, EstimationError, FvslamError
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.trajectory import Status, Trajectory
-from fvslam_graph.evaluation.landmark_plots import plot_landmarks
-from fvslam_graph.evaluation.plots import FIGURES, plot_runs
+from fvslam_graph.evaluation.plots.landmarks import plot_landmarks
+from fvslam_graph.evaluation.plots.runs import FIGURES, plot_runs
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.testing import rendered
 

@@ -14,7 +14,7 @@ import yaml
 from fvslam_graph.cli import app
 from fvslam_graph.core.files import file_name
 from fvslam_graph.estimator import FrameEstimator
-from fvslam_graph.evaluation import plots
+from fvslam_graph.evaluation.plots import runs as plots
 from fvslam_graph.runs.run_folder import read_run
 
 COMMANDS = ("run", "evaluate", "plot", "export", "compare", "study", "info", "demo")
@@ -270,7 +270,7 @@ def mapped(tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("landmarks", "complaint"),
-    [("5;7", "--landmarks takes numbers of frames"), ("99", "has no frame 99"), ("0", "has no frame 0")],
+    [("5;7", "--landmarks takes numbers of frames"), ("99", "has no frame 99"), ("-1", "has no frame -1")],
 )
 def test_landmarks_that_cannot_be_shown(fvslam, mapped, landmarks, complaint):
     outcome = fvslam("plot", mapped, "--landmarks", landmarks)

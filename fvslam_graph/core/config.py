@@ -59,6 +59,9 @@ class ScaleSource(StrEnum):
     UNIT = "unit"  # every baseline is 1 m
 
 
+RELATIVE_SOURCES = (ScaleSource.MAP, ScaleSource.UNIT)  # nothing tells metres, and the first scale is a convention
+
+
 class GroundSettings(_Group):
     """The ground plane as a scale source."""
 
@@ -82,7 +85,7 @@ class ScaleSettings(_Group):
     @property
     def relative(self) -> bool:
         """Whether nothing tells metres, so that the first scale is a convention."""
-        return self.source in (ScaleSource.MAP, ScaleSource.UNIT)
+        return self.source in RELATIVE_SOURCES
 
 
 class Mode(StrEnum):

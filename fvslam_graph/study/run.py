@@ -11,7 +11,7 @@ import yaml
 
 from fvslam_graph.core.errors import FvslamError, StudyError
 from fvslam_graph.core.files import file_name, write_file, writing
-from fvslam_graph.evaluation.plots import plot_runs
+from fvslam_graph.evaluation.plots.runs import plot_runs
 from fvslam_graph.runs.ownership import Kind, claimed
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run

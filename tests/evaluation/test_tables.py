@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fvslam_graph.evaluation.plots import MAX_NAME_IN_FIGURE, legible, plot_runs
+from fvslam_graph.evaluation.plots.runs import plot_runs
+from fvslam_graph.evaluation.plots.style import MAX_NAME_IN_FIGURE, legible
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.runs.run_folder import read_run
 
