@@ -97,5 +97,6 @@ def save(
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         figure.savefig(stem.with_name(f"{stem.name}.png"))
-    Console().print(table.rich())
+    console = Console()
+    console.print(*table.rich(console.width), table.caption, sep="\n")
     Console().print(f"{stem}.csv, .md, .png")

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 import fvslam_graph
 from fvslam_graph.core.config import Config
 from fvslam_graph.core.errors import FvslamError, ResultsError
-from fvslam_graph.core.files import MAX_NAME_LENGTH, file_name, replacing, write_json, writing
+from fvslam_graph.core.files import MAX_NAME_LENGTH, file_name, one_line, replacing, write_json, writing
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.core.text_files import read_text
 from fvslam_graph.core.trajectory import Status
@@ -212,6 +212,14 @@ def metric_columns(evaluation: Evaluation) -> dict[str, float]:
         "associated": len(evaluation.pairs.indices),
         "ape_smoothed": evaluation.smoothed,
     }
+
+
+def outcome_line(row: Row) -> str:
+    """One line on a run: which, and how it ended."""
+    labels = [f"{row['mode']} on {row['sequence']}", row["variant"], f"seed {row['seed']}"]
+    ape = row.get("ape", np.nan)
+    said = f"APE {ape:.4g} m" if row["status"] == "finished" and np.isfinite(ape) else row["status"]
+    return one_line(f"{', '.join(label for label in labels if label)}: {said}")
 
 
 METRIC_COLUMNS = (

@@ -26,6 +26,8 @@ from fvslam_graph.study.statistics import differences
 
 _log = logging.getLogger(__name__)
 
+_FIGURES = ("trajectory", "error", "drift", "covariance", "nees")  # of each sequence
+
 WatchRows = Callable[[Iterable[tuple[int, Row]], int], Iterable[tuple[int, Row]]]
 """Takes rows as they come and how many there will be; hands them on."""
 
@@ -117,4 +119,4 @@ def _draw_trajectories(results: StudyResults, sequence: str, others: list[Run], 
     if not runs:
         return []
     folder = out / "figures" / file_name(sequence)
-    return plot_runs(runs, folder, results.align, ("trajectory", "error"), FIGURE_SUFFIXES)
+    return plot_runs(runs, folder, results.align, _FIGURES, FIGURE_SUFFIXES)
