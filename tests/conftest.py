@@ -80,7 +80,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "draw_without_rendering", lambda figure: None)
-    monkeypatch.setattr(Figure, "savefig", lambda figure, file, **options: file.write(b"not drawn"))
+    monkeypatch.setattr(Figure, "savefig", lambda figure, file, **options: file.write(b"<svg>not drawn</svg>"))
 
 
 class Ended(NamedTuple):

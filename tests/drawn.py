@@ -76,16 +76,24 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Drawn]:
     found: list[Drawn] = []
     draw_figure, draw_text = Figure.draw, Text.draw
 
+    def of(figure: Figure) -> Drawn:
+        known = [entry for entry in found if entry.figure is figure]
+        if not known:
+            known = [Drawn(figure)]
+            found.extend(known)
+        return known[0]
+
     def begun(self, renderer):
-        if not found or found[-1].figure is not self:
-            found.append(Drawn(self))
-        found[-1].texts.clear()
+        of(self).texts.clear()
         draw_figure(self, renderer)
 
     def recorded(self, renderer, *args, **kwargs):
         if self.get_visible() and self.get_text().strip():
-            box = self.get_window_extent(renderer).get_points() * 72 / self.get_figure(root=True).dpi
-            found[-1].texts[id(self)] = (self.get_text(), box)
+            figure = self.get_figure(root=True)
+            of(figure).texts[id(self)] = (
+                self.get_text(),
+                self.get_window_extent(renderer).get_points() * 72 / figure.dpi,
+            )
         draw_text(self, renderer, *args, **kwargs)
 
     monkeypatch.setitem(STYLE, "savefig.dpi", 72)  # quicker; texts are measured in points

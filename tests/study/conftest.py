@@ -4,6 +4,8 @@ import pytest
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.study.jobs import Job, Source
+from fvslam_graph.study.run import run_study
+from fvslam_graph.study.spec import Study
 
 SHORT = "synthetic:uav?frames=12&size=320x240"
 
@@ -16,3 +18,23 @@ def job():
         return Job(Source(path=path, **source), load_config(preset, settings=list(settings)), variant)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def small_study(drive, tmp_path_factory):
+    """Of a study with a recording, a world, other people's trajectories and a recording that is not there."""
+    out = tmp_path_factory.mktemp("study")
+    study = Study(
+        name="A <small> study",
+        sequences=[SHORT, {"path": str(drive), "name": "road & facades"}, str(out / "absent")],
+        modes=["vo", "average"],
+        seeds=2,
+        external={
+            "road & facades": {
+                "perfect": str(drive / "groundtruth.tum"),
+                "lost_100%": str(drive / "camera.yaml"),
+            }
+        },
+    )
+    run_study(study, out, workers=1)
+    return out
