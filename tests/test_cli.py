@@ -272,6 +272,13 @@ def mapped(tmp_path_factory):
     return folder
 
 
+def test_landmarks_are_shown_of_the_nearest_frame_that_has_any(fvslam, mapped, tmp_path, monkeypatch):
+    monkeypatch.setattr(plots, "plot_runs", lambda *_: [])
+    assert fvslam("plot", mapped, "--landmarks", "0", "--out", tmp_path / "plots").code == 0
+    (file,) = (tmp_path / "plots").glob("plot_landmarks_*.png")
+    assert 1 <= int(file.stem[-6:]) <= 3
+
+
 @pytest.mark.parametrize(
     ("landmarks", "complaint"),
     [("5;7", "--landmarks takes numbers of frames"), ("99", "has no frame 99"), ("-1", "has no frame -1")],

@@ -127,7 +127,7 @@ def test_in_a_browser(small_study, tmp_path, width, dark):
     found = json.loads(html.unescape(match[1]))
     assert found["dark"] == dark
     assert found["width"] <= width
-    assert found["covered"] <= found["left"] < found["right"] <= width
+    assert 80 < found["covered"] <= found["left"] < found["right"] <= width
     assert found["outside"] == []
     assert all(100 < wide <= width for wide in found["svgs"])
     assert all(found["fits"]) or width < 1000

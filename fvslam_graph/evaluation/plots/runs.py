@@ -133,7 +133,7 @@ def _title(curves: Sequence[Curve], width: float, aligned: bool) -> str:
     sequence = legible(curves[0].run.info.get("sequence") or "unnamed sequence")
     alignments = {str(curve.evaluation.alignment) for curve in curves if curve.evaluation}
     sources = {curve.run.info.get("scale_source") or "unknown" for curve in curves}
-    shares = sorted({f"{100 * curve.run.coverage:.0f} %" for curve in curves})
+    shares = sorted({f"{100 * curve.run.coverage:.0f}\u00a0%" for curve in curves})
     how = f"{'/'.join(sorted(alignments))} alignment" if aligned else "first poses aligned"
     if not aligned and any(curve.scale != 1 for curve in curves):
         how += ", scale of the sim3 alignment"
