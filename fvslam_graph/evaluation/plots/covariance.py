@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.nees import nees_band
 from fvslam_graph.evaluation.plots.curve import Curve, common_unit
-from fvslam_graph.evaluation.plots.style import PAGE_WIDTH, TRUTH, legend_below, wrapped
-from fvslam_graph.evaluation.pose_consistency import PoseConsistency, pose_consistency
+from fvslam_graph.evaluation.plots.style import TRUTH, legend_below, wrapped
+from fvslam_graph.evaluation.pose_consistency import PoseConsistency
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +31,7 @@ def has_covariances(curves: Sequence[Curve]) -> bool:
 def draw_covariance(figure: Figure, curves: Sequence[Curve], _: Trajectory | None) -> None:
     """Draw of each run the path with ellipses, and the error of each axis within its three sigma."""
     shown = list(_with_errors(curves))
-    figure.set_size_inches(PAGE_WIDTH, 1.25 * len(shown) + 1.0)
+    figure.set_figheight(1.25 * len(shown) + 1.0)
     panels = figure.subplots(len(shown), 4, squeeze=False)
     unit = common_unit(curves)
     begin = min(float(curve.run.online.stamps[0]) for curve in curves)
@@ -77,10 +77,8 @@ def draw_nees(figure: Figure, curves: Sequence[Curve], _: Trajectory | None) -> 
 
 def _with_errors(curves: Sequence[Curve]) -> Iterator[tuple[Curve, PoseConsistency]]:
     for curve in curves:
-        if curve.evaluation is not None:
-            errors = pose_consistency(curve.evaluation.pairs, curve.run.pose_covariances, curve.scale)
-            if errors is not None:
-                yield curve, errors
+        if curve.consistency is not None:
+            yield curve, curve.consistency
 
 
 def _draw_ellipses(axes: Axes, curve: Curve, frames: NDArray[np.int64], spreads: NDArray[np.float64]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.plots.style import Look, legible
+from fvslam_graph.evaluation.pose_consistency import PoseConsistency, pose_consistency
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.runs.results import Run
 
@@ -42,6 +44,13 @@ class Curve:
         """The factor that the alignment puts on lengths."""
         evaluation = self.evaluation
         return evaluation.scale if evaluation is not None and evaluation.alignment is Alignment.SIM3 else 1.0
+
+    @cached_property
+    def consistency(self) -> PoseConsistency | None:
+        """Errors of its poses beside their covariances; None without a reference or covariances."""
+        if self.evaluation is None:
+            return None
+        return pose_consistency(self.evaluation.pairs, self.run.pose_covariances, self.scale)
 
     @property
     def metric(self) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.evaluation.drift import LENGTHS, SegmentErrors, segment_errors
 from fvslam_graph.evaluation.plots.curve import Curve, common_unit
-from fvslam_graph.evaluation.plots.style import PAGE_WIDTH, legend_below
+from fvslam_graph.evaluation.plots.style import legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +48,7 @@ def draw_errors(figure: Figure, curves: Sequence[Curve], _: Trajectory | None) -
 def draw_drift(figure: Figure, curves: Sequence[Curve], _: Trajectory | None) -> None:
     """Draw the spread of relative errors: from frame to frame, and of segments by their length."""
     shown = [curve for curve in curves if curve.evaluation is not None]
-    figure.set_size_inches(PAGE_WIDTH, 3.9)
+    figure.set_figheight(3.9)
     panels = figure.subplots(2, 2, width_ratios=(1, 3), sharex="col")
     lengths = segment_lengths(shown)
     segments = [_segments(curve, lengths) for curve in shown]
