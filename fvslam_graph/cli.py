@@ -9,7 +9,7 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -24,12 +24,14 @@ from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.evaluation.alignment import Alignment
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import RenderableType
 
     from fvslam_graph.core.config import Config
     from fvslam_graph.core.frame_result import FrameResult
     from fvslam_graph.core.sequence import Sequence
+    from fvslam_graph.evaluation.tables import Table
     from fvslam_graph.evaluation.viewer import Viewer
+    from fvslam_graph.study.jobs import Row
     from fvslam_graph.study.spec import Study
 
 app = typer.Typer(
@@ -38,8 +40,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-WIDE = 240  # characters
-MAX_ROWS_ACROSS = 8  # rows of a table that fit beside each other
+WIDE = 240  # characters of a line that is not broken
+MAX_ROWS = 12  # of a table of which all columns are shown in the terminal
 
 _T = TypeVar("_T")
 
@@ -264,7 +266,7 @@ def evaluate(
         evaluation = evaluation_of(estimate, reference, align, time_offset)
     if estimate.is_dir():
         evaluation.write(estimate)
-        _show(runs_table([estimate]).rich(across=True))
+        _show_table(runs_table([estimate]))
     _show(summary_table(evaluation))
 
 
@@ -276,14 +278,15 @@ def plot(
     landmarks: Annotated[
         str | None,
         typer.Option(
-            help="Also show the landmarks of visual SLAM in these frames of the first run.", metavar="N,N,..."
+            help="Also show the landmarks of visual SLAM in these frames of the first run, or nearest to them.",
+            metavar="N,N,...",
         ),
     ] = None,
     rerun: Rerun = None,
 ) -> None:
     """Plot trajectories, errors, speed, scale and inliers of one or several runs, as PNG and PDF."""
-    from fvslam_graph.evaluation.landmark_plots import plot_landmarks
-    from fvslam_graph.evaluation.plots import plot_runs
+    from fvslam_graph.evaluation.plots.landmarks import plot_landmarks
+    from fvslam_graph.evaluation.plots.runs import plot_runs
     from fvslam_graph.runs.run_folder import read_run
 
     shown = plot_landmarks(runs[0], _numbers(landmarks), out or runs[0]) if landmarks is not None else []
@@ -444,7 +447,7 @@ def calibrate(
     """
     from fvslam_graph.core.errors import CameraError
     from fvslam_graph.core.extras import require
-    from fvslam_graph.evaluation.calibration_plot import plot_residuals
+    from fvslam_graph.evaluation.plots.calibration import plot_residuals
     from fvslam_graph.sequences import boards
     from fvslam_graph.sequences.board_calibration import calibrate as calibrated
 
@@ -493,11 +496,10 @@ def demo(
     frames: Annotated[int, typer.Option(help="Length of the flight.", min=10)] = 200,
 ) -> None:
     """Fly a small UAV over generated terrain, estimate its motion in all modes, and compare."""
-    from fvslam_graph.core.choices import Mode
     from fvslam_graph.core.config import load_config
     from fvslam_graph.core.extras import require
-    from fvslam_graph.evaluation.plots import plot_runs
-    from fvslam_graph.evaluation.report import runs_table
+    from fvslam_graph.evaluation.plots.runs import plot_runs
+    from fvslam_graph.evaluation.report import runs_table, scale_sentence
     from fvslam_graph.evaluation.runs import evaluate_run
     from fvslam_graph.runs.run_folder import read_run
     from fvslam_graph.sequences.open import open_sequence
@@ -505,14 +507,17 @@ def demo(
     require("eval")
     sequence = open_sequence(f"synthetic:uav?frames={frames}")
     sequence = replace(sequence, load=cache(sequence.load))  # rendering an image takes longer than using it
-    folders = []
+    evaluations = {}
     for mode, preset in (*((mode, "tuned") for mode in Mode), (Mode.AVERAGE, "paper")):
-        folders.append(out / f"{mode}-{preset}")
-        typer.echo(_run(sequence, load_config(preset, settings=[f"mode={mode}"]), folders[-1]))
-        evaluate_run(folders[-1], align=Alignment.SE3)
-    plots = plot_runs([read_run(folder) for folder in folders], out / "plots", Alignment.SE3)
-    _show(runs_table(folders).rich(across=True))
-    typer.echo(f"plots: {', '.join(str(file) for file in plots if file.suffix == '.png')}")
+        name = f"{mode}-{preset}"
+        typer.echo(f"{name}: {_run(sequence, load_config(preset, settings=[f'mode={mode}']), out / name)}")
+        evaluations[name] = evaluate_run(out / name, align=Alignment.SE3)
+    folders = [out / name for name in evaluations]
+    plot_runs([read_run(folder) for folder in folders], out / "plots", Alignment.SE3)
+    _show_table(runs_table(folders))
+    if sentence := scale_sentence(evaluations, "graph-tuned", ("vo-tuned", "vslam-tuned")):
+        _show(sentence)
+    typer.echo(f"plots: {out / 'plots'}")
 
 
 def _config(
@@ -559,13 +564,14 @@ def _run_study(study: Study, out: Path, workers: int | None, scheduler: str | No
     from fvslam_graph.study.run import run_study
     from fvslam_graph.study.statistics import differences, verdicts
 
-    results = run_study(study, out, workers, scheduler, lambda rows, total: _progress(rows, total, study.name))
+    with _kept(lambda: f"the runs that came to their end are kept in {out}; the same command goes on from there"):
+        results = run_study(study, out, workers, scheduler, lambda rows, total: _told(rows, total, study.name))
     summary, failures = results.summary(), results.failures()
-    _show(summary.rich(across=len(summary.rows) <= MAX_ROWS_ACROSS))
+    _show_table(summary, whole=len(summary.rows) <= MAX_ROWS)
     for sentence in verdicts(differences(results)):
-        typer.echo(sentence)
+        _show(sentence)
     if failures.rows:
-        _show(failures.rich())
+        _show_table(failures)
     typer.echo(f"report: {out / 'report.html'}")
     if not len(results.finished):
         raise FvslamError("no run came to its end; the table says why")
@@ -613,13 +619,14 @@ def _run(sequence: Sequence, config: Config, folder: Path, rerun: str | None = N
         return _progress(results, len(sequence), sequence.name)
 
     effective = _effective(config, sequence)
-    if rerun is None:
-        run = run_sequence(sequence, effective, folder, progress)
-    else:
-        with _viewer(rerun, sequence) as viewer:
-            watched = viewer.watched(sequence)
-            run = run_sequence(watched, effective, folder, lambda results: viewer.watch(progress(results)))
-            viewer.end(run.smoothed)
+    with _kept(lambda: _interrupted(folder)):
+        if rerun is None:
+            run = run_sequence(sequence, effective, folder, progress)
+        else:
+            with _viewer(rerun, sequence) as viewer:
+                watched = viewer.watched(sequence)
+                run = run_sequence(watched, effective, folder, lambda results: viewer.watch(progress(results)))
+                viewer.end(run.smoothed)
     statuses = Counter(run.frames["status"].tolist())
     counts = ", ".join(f"{statuses[status]} {status}" for status in Status if statuses[status])
     if 2 * (statuses[Status.TRACKED] + statuses[Status.STATIC]) < len(sequence):
@@ -686,21 +693,71 @@ def _telling(package: str) -> Iterator[None]:
             log.setLevel(logging.NOTSET)
 
 
-def _show(table: Table) -> None:
-    """Print a table; a file or a pipe has no width, so that nothing is cut there."""
+def _told(rows: Iterable[tuple[int, Row]], total: int, label: str) -> Iterator[tuple[int, Row]]:
+    """A bar on a terminal, and a line for each run that fails; elsewhere a line for each run."""
+    from rich.console import Console
+    from rich.text import Text
+
+    from fvslam_graph.study.jobs import outcome_line
+
+    console = Console(stderr=True)
+    for done, (number, row) in enumerate(_progress(rows, total, label), 1):
+        if not console.is_terminal or row["status"] != "finished":
+            console.print(Text(f"{done}/{total} {outcome_line(row)}"), soft_wrap=True)
+        yield number, row
+
+
+@contextmanager
+def _kept(what: Callable[[], str]) -> Iterator[None]:
+    """Where the block is stopped, say what is kept of it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo(f"stopped: {what()}", err=True)
+        raise
+
+
+def _interrupted(folder: Path) -> str:
+    """What an interrupted run has left, and what can be done with it."""
+    from fvslam_graph.runs.run_folder import UNFINISHED, read_run
+
+    for place in (folder / UNFINISHED, folder):
+        with suppress(FvslamError):
+            run = read_run(place)
+            if run.info["status"] == "interrupted":
+                count = f"{len(run.online)} of {run.info.get('frames')} frames"
+                return f"{count} are kept in {place}, which evaluate and plot take; the same command begins anew"
+    return "nothing was estimated yet"
+
+
+def _show(content: RenderableType) -> None:
+    """Print text or a table, no wider than the terminal; a file or a pipe counts as one of 80 characters."""
     from rich.console import Console
 
-    Console(width=None if sys.stdout.isatty() else WIDE).print(table)
+    Console(highlight=False, markup=False, emoji=False).print(content)
+
+
+def _show_table(table: Table, whole: bool = True) -> None:
+    """Print a table in as many parts as its columns need, or the first of them."""
+    from rich.console import Console
+
+    parts = table.rich(Console().width)
+    for part in parts if whole else parts[:1]:
+        _show(part)
+    if not whole and len(parts) > 1:
+        _show("The other columns are in summary.md and in the report.")
+    _show(table.caption)
 
 
 def _show_facts(facts: Iterable[tuple[str, str]]) -> None:
+    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table(show_header=False, box=None)
     for name, value in facts:
         table.add_row(name, Text(value))
-    _show(table)
+    Console(width=None if sys.stdout.isatty() else WIDE).print(table)
 
 
 def _pair(text: str, option: str, form: str) -> tuple[str, str]:

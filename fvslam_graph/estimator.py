@@ -291,6 +291,7 @@ def _measures(config: Config, odometry: VoEstimate | None, slam: SlamEstimate | 
     measures = {
         "tracks": math.nan if odometry is None else odometry.found,
         "inliers": math.nan if odometry is None else len(odometry.tracks),
+        "keyframe": math.nan if odometry is None else odometry.previous,
         "scale": scale.metres if scale else math.nan,
         "scale_sigma": scale.metres * math.sqrt(scale.variance) if scale else math.nan,
         "parallax_px": math.nan if odometry is None else odometry.parallax,

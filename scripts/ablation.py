@@ -6,7 +6,7 @@ from experiments import Frames, Out, Preset, Seeds, SequencePath, column, run_va
 from matplotlib.figure import Figure
 
 from fvslam_graph.core.choices import Mode
-from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.evaluation.plots.style import RUN_COLOURS
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.study.results import spread
 

@@ -19,7 +19,7 @@ from rich.progress import track
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.plots import STYLE
+from fvslam_graph.evaluation.plots.style import STYLE
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.jobs import Job
@@ -98,5 +98,6 @@ def save(
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         figure.savefig(stem.with_name(f"{stem.name}.png"))
-    Console().print(table.rich())
+    console = Console()
+    console.print(*table.rich(console.width), table.caption, sep="\n")
     Console().print(f"{stem}.csv, .md, .png")

@@ -69,7 +69,8 @@ def main(
     caption = CAPTION.format(against=against, decide=", ".join(decide), report=", ".join(report))
     table = Table(columns, rows, caption=caption)
     (study / "generalisation.md").write_text(table.markdown())
-    Console().print(table.rich())
+    console = Console()
+    console.print(*table.rich(console.width), table.caption, sep="\n")
 
 
 if __name__ == "__main__":

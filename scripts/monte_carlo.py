@@ -24,7 +24,7 @@ from fvslam_graph.core.choices import Mode
 from fvslam_graph.core.config import SlamSettings, load_config
 from fvslam_graph.evaluation.monte_carlo import pose_errors, run, run_vslam
 from fvslam_graph.evaluation.nees import average_nees, nees
-from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE
+from fvslam_graph.evaluation.plots.style import RUN_COLOURS, STYLE
 from fvslam_graph.simulation.points import simulate_drive, simulate_flight
 
 SCENES = {"drive": simulate_drive, "flight": simulate_flight}

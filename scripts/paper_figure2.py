@@ -17,7 +17,8 @@ from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.core.slam_estimate import MatchOutcome
 from fvslam_graph.estimator import estimate
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.evaluation.plots import RUN_COLOURS, TRUTH, level_axes
+from fvslam_graph.evaluation.plots.runs import level_axes
+from fvslam_graph.evaluation.plots.style import RUN_COLOURS, TRUTH
 from fvslam_graph.evaluation.runs import evaluation_of
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.pipeline import resolve_config, run_metadata

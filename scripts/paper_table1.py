@@ -9,7 +9,7 @@ import typer
 from experiments import Frames, Out, Preset, SequencePath, job_of, run_all, save
 from matplotlib.figure import Figure
 
-from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.evaluation.plots.style import RUN_COLOURS
 from fvslam_graph.evaluation.tables import Table
 
 FEATURES = (15, 17, 19, 21, 23, 25)

@@ -4,7 +4,7 @@ import typer
 from experiments import Frames, Out, Preset, Seeds, SequencePath, column, run_variants, save
 from matplotlib.figure import Figure
 
-from fvslam_graph.evaluation.plots import RUN_COLOURS
+from fvslam_graph.evaluation.plots.style import RUN_COLOURS
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.study.results import spread
 

@@ -16,6 +16,8 @@ from fvslam_graph.cli import main
 from fvslam_graph.simulation import synthetic
 from fvslam_graph.simulation.synthetic import synthetic_sequence
 
+from .drawn import drawn  # noqa: F401
+
 pytest_plugins = ["fvslam_graph.testing"]
 
 ROOT = Path(__file__).parents[1]
@@ -78,7 +80,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "draw_without_rendering", lambda figure: None)
-    monkeypatch.setattr(Figure, "savefig", lambda figure, file, **options: file.write(b"not drawn"))
+    monkeypatch.setattr(Figure, "savefig", lambda figure, file, **options: file.write(b"<svg>not drawn</svg>"))
 
 
 class Ended(NamedTuple):

@@ -1,5 +1,6 @@
 """The package from Python."""
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -14,10 +15,12 @@ from fvslam_graph.core.errors import ConfigError, EstimationError, FvslamError
 from fvslam_graph.core.geodesy import LocalFrame
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.trajectory import Status, Trajectory
-from fvslam_graph.evaluation.landmark_plots import plot_landmarks
-from fvslam_graph.evaluation.plots import FIGURES, plot_runs
+from fvslam_graph.evaluation.alignment import Alignment
+from fvslam_graph.evaluation.plots.landmarks import plot_landmarks
+from fvslam_graph.evaluation.plots.runs import FIGURES, plot_runs
 from fvslam_graph.sequences.open import open_sequence
 from fvslam_graph.simulation.gnss import PLACE, true_enu
+from fvslam_graph.study.results import StudyResults
 from fvslam_graph.testing import rendered
 
 SHORT = "synthetic:uav?frames=12&size=320x240"
@@ -255,3 +258,22 @@ def test_measurements_that_are_none(flown, mode, position, gravity, complaint):
 def test_positions_need_metres(flown):
     with pytest.raises(EstimationError, match="known ground"):
         fvslam_graph.Estimator(flown.camera, "graph").step(None, 0.0, position=(49, 8, 100, 1))
+
+
+def test_what_is_shown_of_objects_is_short(drive):
+    sequence = open_sequence(drive)
+    assert repr(sequence) == "Sequence('drive', folder, 12 frames, 320x100 pixels)"
+    run = fvslam_graph.run(sequence)
+    assert repr(run).startswith("Run('drive-vo', vo on drive, finished, 12 poses of 12 frames, ")
+    assert re.fullmatch(r"Trajectory\(12 poses in 1\.1 s, [\d.]+ m\)", repr(run.online))
+    evaluation = fvslam_graph.evaluate(run)
+    assert re.fullmatch(r"Evaluation\('drive-vo', se3, APE \S+ m, RPE \S+ m, 12 of 12 poses\)", repr(evaluation))
+    assert run._repr_html_().startswith("<table>") and "12 of 12 poses" in evaluation._repr_html_()
+
+
+def test_what_is_shown_of_a_study_is_short():
+    row = {"sequence": "<03>", "mode": "vo", "preset": "tuned", "seed": 0, "status": "finished", "ape": 0.1}
+    results = StudyResults.of([row], Alignment.SIM3)
+    shown = "StudyResults(1 modes on 1 sequences, 1 of 1 runs came to their end, sim3 alignment)"
+    assert repr(results) == shown
+    assert "<td>0.100</td>" in results._repr_html_() and "<03>" not in results._repr_html_()

@@ -15,8 +15,8 @@ import fvslam_graph
 from fvslam_graph import pipeline
 from fvslam_graph.cli import app
 from fvslam_graph.core.files import file_name
-from fvslam_graph.evaluation import plots
-from fvslam_graph.runs.run_folder import read_run
+from fvslam_graph.evaluation.plots import runs as plots
+from fvslam_graph.runs.run_folder import FIGURES, read_run
 
 COMMANDS = ("run", "live", "evaluate", "plot", "export", "compare", "study", "info", "calibrate", "demo")
 HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib", "dask", "distributed"}
@@ -36,7 +36,8 @@ def test_run_evaluate_and_plot(drive, tmp_path, fvslam):
 
     code, out, err = fvslam("evaluate", folder)
     assert (code, err) == (0, "")
-    assert "r_rel (deg/100 m)" in out and "APE (m)" in out  # nothing is cut where there is no terminal
+    assert all(word in out for word in ("r_rel", "(deg/100", "APE", "peak"))
+    assert max(map(len, out.splitlines())) <= 80
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["alignment"] == "se3"
     assert 11 < metrics["path_length"] < 16
@@ -116,7 +117,8 @@ def test_an_interrupted_run_is_kept(drive, tmp_path, monkeypatch, fvslam):
 
     monkeypatch.setattr(pipeline, "through", interrupted)
     code, out, err = fvslam("run", drive, "--out", tmp_path / "run")
-    assert (code, out, err) == (130, "", "")
+    kept = f"stopped: 4 of 12 frames are kept in {tmp_path / 'run'}, which evaluate and plot take; "
+    assert (code, out, err) == (130, "", f"{kept}the same command begins anew\n")
     run = read_run(tmp_path / "run")
     assert (run.info["status"], len(run.online), run.info["totals"]["frames"]) == ("interrupted", 4, 4)
     code, out, _ = fvslam("evaluate", tmp_path / "run")
@@ -132,7 +134,8 @@ def test_a_signal_interrupts(drive, tmp_path, monkeypatch, fvslam, stop):
             yield result
 
     monkeypatch.setattr(pipeline, "through", signalled)
-    assert fvslam("run", drive, "--out", tmp_path / "run") == (130, "", "")
+    outcome = fvslam("run", drive, "--out", tmp_path / "run")
+    assert (outcome.code, outcome.out) == (130, "") and outcome.err.startswith("stopped: 4 of 12 frames are kept")
     assert (read_run(tmp_path / "run").info["status"], len(read_run(tmp_path / "run").online)) == ("interrupted", 4)
 
 
@@ -187,8 +190,9 @@ def test_demo(tmp_path, fvslam, undrawn):
     for name in ("vo-tuned", "vslam-tuned", "average-tuned", "intersection-tuned", "average-paper"):
         assert (tmp_path / name / "metrics.json").is_file()
         assert f" {name} " in out
-    files = out.splitlines()[-1].removeprefix("plots: ").split(", ")
-    assert len(files) >= 3 and all((tmp_path / "plots" / file.rpartition("/")[2]).is_file() for file in files)
+    assert max(len(line) for line in out.splitlines() if str(tmp_path) not in line) <= 80
+    assert out.splitlines()[-1] == f"plots: {tmp_path / 'plots'}"
+    assert {file.stem for file in (tmp_path / "plots").glob("*.png")} == {f"plot_{name}" for name in FIGURES}
 
 
 def test_a_progress_bar_on_a_terminal_only(drive, tmp_path, monkeypatch, fvslam):
@@ -297,9 +301,16 @@ def mapped(tmp_path_factory):
     return folder
 
 
+def test_landmarks_are_shown_of_the_nearest_frame_that_has_any(fvslam, mapped, tmp_path, monkeypatch):
+    monkeypatch.setattr(plots, "plot_runs", lambda *_: [])
+    assert fvslam("plot", mapped, "--landmarks", "0", "--out", tmp_path / "plots").code == 0
+    (file,) = (tmp_path / "plots").glob("plot_landmarks_*.png")
+    assert 1 <= int(file.stem[-6:]) <= 3
+
+
 @pytest.mark.parametrize(
     ("landmarks", "complaint"),
-    [("5;7", "--landmarks takes numbers of frames"), ("99", "has no frame 99"), ("0", "has no frame 0")],
+    [("5;7", "--landmarks takes numbers of frames"), ("99", "has no frame 99"), ("-1", "has no frame -1")],
 )
 def test_landmarks_that_cannot_be_shown(fvslam, mapped, landmarks, complaint):
     outcome = fvslam("plot", mapped, "--landmarks", landmarks)
@@ -335,7 +346,8 @@ def test_compare(fvslam, drive, tmp_path, undrawn):
         tmp_path,
     )
     outcome = fvslam(*command, "--external", f"other={drive / 'groundtruth.tum'}")
-    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.code == 0
+    assert re.fullmatch(r"1/2 vo on drive, .*, seed 0: APE .* m\n2/2 average on drive, .*: APE .* m\n", outcome.err)
     assert all(word in outcome.out for word in (" vo ", " average ", " other ", "sim3 alignment", "fewer than 5 seeds"))
     assert outcome.out.endswith(f"report: {tmp_path / 'report.html'}\n")
     begun = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("runs/*/frames.csv")}
@@ -363,10 +375,23 @@ def test_study(fvslam, drive, tmp_path, undrawn):
     file = tmp_path / "short.yaml"
     file.write_text(f"sequences: [{drive}, absent]\nmodes: [vo]\nseeds: 1\n")
     outcome = fvslam("study", file, "--out", tmp_path / "out")
-    assert (outcome.code, outcome.err) == (0, "")
-    assert "1/1" in outcome.out and "0/1" in outcome.out and "absent does not exist" in outcome.out
+    assert outcome.code == 0
+    assert sorted(line.partition(":")[0] for line in outcome.err.splitlines()) == [
+        *("1/2 vo on absent, seed 0", "2/2 vo on drive, seed 0"),
+    ]
+    assert "1/1" in outcome.out and "0/1" in outcome.out and "does not exist" in outcome.err
     assert len(list((tmp_path / "out" / "runs").iterdir())) == 1
 
     file.write_text("sequences: [absent]\nmodes: [vo]\nseeds: 1\n")
     outcome = fvslam("study", file, "--out", tmp_path / "out")
-    assert (outcome.code, outcome.err) == (1, "fvslam: no run came to its end; the table says why\n")
+    assert outcome.code == 1 and outcome.err.endswith("fvslam: no run came to its end; the table says why\n")
+
+
+def test_a_study_that_is_stopped_says_what_is_kept(fvslam, drive, tmp_path, monkeypatch):
+    def interrupted(jobs, *_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fvslam_graph.study.run.execute_all", interrupted)
+    outcome = fvslam("compare", drive, "--modes", "vo", "--out", tmp_path / "out")
+    kept = f"stopped: the runs that came to their end are kept in {tmp_path / 'out'}; "
+    assert outcome == (130, "", f"{kept}the same command goes on from there\n")

@@ -27,3 +27,6 @@ class ScaleSource(StrEnum):
     MAP = "map"  # relative: tracks that two consecutive pairs have in common; the first scale is a guess
     ORACLE = "oracle"  # the ground truth
     UNIT = "unit"  # every baseline is 1 m
+
+
+RELATIVE_SOURCES = (ScaleSource.MAP, ScaleSource.UNIT)  # nothing tells metres, and the first scale is a convention

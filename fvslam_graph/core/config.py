@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
 
-from fvslam_graph.core.choices import Mode, Preset, ScaleSource
+from fvslam_graph.core.choices import RELATIVE_SOURCES, Mode, Preset, ScaleSource
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.modes import ModeName, TrackerName, outside_mode, outside_tracker
 from fvslam_graph.core.plugins import Origin
@@ -75,7 +75,7 @@ class ScaleSettings(_Group):
     @property
     def relative(self) -> bool:
         """Whether nothing tells metres, so that the first scale is a convention."""
-        return self.source in (ScaleSource.MAP, ScaleSource.UNIT)
+        return self.source in RELATIVE_SOURCES
 
 
 class SlamSettings(_Group):

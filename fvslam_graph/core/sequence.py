@@ -129,6 +129,10 @@ class Sequence:
     def __len__(self) -> int:
         return len(self.stamps)
 
+    def __repr__(self) -> str:
+        size = f"{self.camera.width}x{self.camera.height} pixels"
+        return f"Sequence({self.name!r}, {self.format}, {len(self)} frames, {size})"
+
     def __iter__(self) -> Iterator[Frame]:
         for index in range(len(self)):
             yield self.frame(index)

@@ -62,6 +62,11 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.poses)
 
+    def __repr__(self) -> str:
+        if not self.poses:
+            return "Trajectory(no poses)"
+        return f"Trajectory({len(self)} poses in {np.ptp(self.stamps):.4g} s, {self.path_length:.4g} m)"
+
     @classmethod
     def from_matrices(cls, stamps: NDArray[np.float64], matrices: NDArray[np.float64]) -> Trajectory:
         """From homogeneous matrices (N, 4, 4); rotations, which text files round, are brought back onto SO(3)."""

@@ -31,23 +31,53 @@ class Drift:
     by_length: dict[int, tuple[float, float]]
 
 
-def drift(estimate: NDArray[np.float64], reference: NDArray[np.float64], scale: float = 1.0) -> Drift:
-    """Drift of associated poses, both (N, 4, 4) and metric, each in a world of its own; `scale` is on the estimate.
+@dataclass(frozen=True)
+class SegmentErrors:
+    """Errors of the end of each segment as seen from its start, (S,) each.
 
-    From every STEP-th pose, a segment of each length ends at the first pose at which the reference's path is longer.
+    Attributes:
+        lengths: Of the segments, metres.
+        t_rel: Translation, percent of the length.
+        r_rel: Rotation, degrees per 100 m.
+    """
+
+    lengths: NDArray[np.float64]
+    t_rel: NDArray[np.float64]
+    r_rel: NDArray[np.float64]
+
+
+def segment_errors(
+    estimate: NDArray[np.float64],
+    reference: NDArray[np.float64],
+    lengths: NDArray[np.float64] = LENGTHS,
+    scale: float = 1.0,
+) -> SegmentErrors:
+    """Errors of all segments of associated poses, both (N, 4, 4) and metric, each in a world of its own.
+
+    From every SEGMENT_STEP-th pose, a segment of each of the `lengths` (L,), metres, ends at the first pose at which
+    the reference's path is longer. `scale` is on the estimate.
     """
     steps = np.linalg.norm(np.diff(reference[:, :3, 3], axis=0), axis=1)
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
-    starts, lengths = np.meshgrid(np.arange(0, len(travelled), SEGMENT_STEP), LENGTHS, indexing="ij")
-    ends = np.searchsorted(travelled, travelled[starts] + lengths, side="right")
+    starts, wanted = np.meshgrid(np.arange(0, len(travelled), SEGMENT_STEP), lengths, indexing="ij")
+    ends = np.searchsorted(travelled, travelled[starts] + wanted, side="right")
     inside = ends < len(travelled)
-    starts, lengths, ends = starts[inside], lengths[inside], ends[inside]
-    if not len(ends):
-        return Drift(float("nan"), float("nan"), 0, {})
+    starts, wanted, ends = starts[inside], wanted[inside], ends[inside]
     metres, angles = motion_errors(estimate, reference, starts, ends, scale)
-    t_rel, r_rel = 100 * metres / lengths, 100 * angles / lengths
+    return SegmentErrors(wanted, 100 * metres / wanted, 100 * angles / wanted)
+
+
+def drift(estimate: NDArray[np.float64], reference: NDArray[np.float64], scale: float = 1.0) -> Drift:
+    """Mean errors over KITTI's segments; see `segment_errors`."""
+    found = segment_errors(estimate, reference, scale=scale)
+    count = len(found.lengths)
+    if not count:
+        return Drift(float("nan"), float("nan"), 0, {})
     by_length = {
-        int(length): (float(t_rel[lengths == length].mean()), float(r_rel[lengths == length].mean()))
-        for length in np.unique(lengths)
+        int(length): (
+            float(found.t_rel[found.lengths == length].mean()),
+            float(found.r_rel[found.lengths == length].mean()),
+        )
+        for length in np.unique(found.lengths)
     }
-    return Drift(float(t_rel.mean()), float(r_rel.mean()), len(ends), by_length)
+    return Drift(float(found.t_rel.mean()), float(found.r_rel.mean()), count, by_length)

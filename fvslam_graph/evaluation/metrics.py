@@ -88,6 +88,16 @@ class Evaluation:
     notes: tuple[str, ...]
     smoothed: float = math.nan
 
+    def __repr__(self) -> str:
+        ape, rpe = (self.errors[name].stats["rmse"] for name in ("ape_trans", "rpe_trans"))
+        pairs = f"{len(self.pairs.indices)} of {self.poses} poses"
+        return f"Evaluation({self.name!r}, {self.alignment}, APE {ape:.4g} m, RPE {rpe:.4g} m, {pairs})"
+
+    def _repr_html_(self) -> str:
+        from fvslam_graph.evaluation.report import facts_table
+
+        return facts_table(self).html()
+
     @property
     def coverage(self) -> float | None:
         """Poses out / frames in."""

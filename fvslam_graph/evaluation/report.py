@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,9 +32,8 @@ UNJUDGED = "not judged"  # in place of a NEES, where the reference is not good e
 TEXT_COLUMNS = 4  # the first columns are text, the others numbers
 RUN_COLUMNS = (
     *("run", "mode", "scale", "status"),
-    *("coverage", "tracked", "align", "APE (m)", "smoothed (m)", "Sim(3) APE (m)", "RPE (m)"),
-    *("t_rel (%)", "r_rel (deg/100 m)"),
-    *("NEES (95 % band)", "ms/frame", "peak MB"),
+    *("align", "APE (m)", "Sim(3) APE (m)", "smoothed (m)", "RPE (m)", "t_rel (%)", "r_rel (deg/100 m)"),
+    *("NEES (95 % band)", "coverage", "tracked", "ms/frame", "peak MB"),
 )
 
 
@@ -52,31 +51,54 @@ def summary_table(evaluation: Evaluation) -> RichTable:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    pairs = evaluation.pairs
+    facts = facts_table(evaluation)
+    table = RichTable(title=Text(one_line(evaluation.name)), caption=Text(facts.caption), show_header=False)
+    for row in facts.rows:
+        table.add_row(*row)
+    return table
+
+
+def facts_table(evaluation: Evaluation) -> Table:
+    """All metrics of one trajectory, a row each, with the notes below."""
+    pairs, rows = evaluation.pairs, []
     how = "with the reference interpolated" if pairs.interpolated else "by nearest stamps"
-    table = RichTable(
-        title=Text(one_line(evaluation.name)), caption=Text("\n".join(evaluation.notes)), show_header=False
-    )
     if evaluation.coverage is not None:
-        table.add_row("coverage", f"{100 * evaluation.coverage:.1f} % of {evaluation.frames} frames")
-    table.add_row("association", f"{len(pairs.indices)} of {evaluation.poses} poses {how}")
+        rows.append(["coverage", f"{100 * evaluation.coverage:.1f} % of {evaluation.frames} frames"])
+    rows.append(["association", f"{len(pairs.indices)} of {evaluation.poses} poses {how}"])
     scale = "unknown" if np.isnan(evaluation.scale) else f"{evaluation.scale:.4f}"
-    table.add_row("alignment", f"{evaluation.alignment} (scale to the reference {scale})")
+    rows.append(["alignment", f"{evaluation.alignment} (scale to the reference {scale})"])
     if evaluation.alignment != "sim3" and not np.isnan(evaluation.ape_scaled):
-        table.add_row("Sim(3)", f"ape_trans RMSE {evaluation.ape_scaled:.4g} m, in the scale of the reference")
+        rows.append(["Sim(3)", f"ape_trans RMSE {evaluation.ape_scaled:.4g} m, in the scale of the reference"])
     for name, result in evaluation.errors.items():
         unit = "deg" if name.endswith("rot") else "m"
         stats = {key: f"{result.stats[key]:.4g}" for key in ("rmse", "median", "max")}
-        table.add_row(name, f"RMSE {stats['rmse']} {unit}, median {stats['median']}, max {stats['max']}")
+        rows.append([name, f"RMSE {stats['rmse']} {unit}, median {stats['median']}, max {stats['max']}"])
     if not np.isnan(evaluation.smoothed):
-        table.add_row("smoothed", f"ape_trans RMSE {evaluation.smoothed:.4g} m, the trajectory by all data")
+        rows.append(["smoothed", f"ape_trans RMSE {evaluation.smoothed:.4g} m, the trajectory by all data"])
     if evaluation.drift.segments:
-        table.add_row("t_rel", f"{evaluation.drift.t_rel:.2f} % ({evaluation.drift_scaled.t_rel:.2f} % after scaling)")
-        table.add_row("r_rel", f"{evaluation.drift.r_rel:.3f} deg/100 m, {evaluation.drift.segments} segments")
+        scaled = f"{evaluation.drift_scaled.t_rel:.2f} % after scaling"
+        rows.append(["t_rel", f"{evaluation.drift.t_rel:.2f} % ({scaled})"])
+        rows.append(["r_rel", f"{evaluation.drift.r_rel:.3f} deg/100 m, {evaluation.drift.segments} segments"])
     for part, nees in evaluation.nees.items():
         said = f"{nees.mean:.2f}" if nees.judged else "not judged by this reference"
-        table.add_row(f"NEES, {part}", f"{said} (95 % band {nees.low:.2f}-{nees.high:.2f}, {nees.count} motions)")
-    return table
+        rows.append([f"NEES, {part}", f"{said} (95 % band {nees.low:.2f}-{nees.high:.2f}, {nees.count} motions)"])
+    return Table(("metric", one_line(evaluation.name)), rows, 2, "\n".join(evaluation.notes))
+
+
+def scale_sentence(evaluations: Mapping[str, Evaluation], method: str, parts: Sequence[str]) -> str:
+    """Why a method may be worse than its parts in metres: whether its shape is, too; "" where it is not worse."""
+    ape = {name: found.errors["ape_trans"].stats["rmse"] for name, found in evaluations.items()}
+    shape = {name: found.ape_scaled for name, found in evaluations.items()}
+    worse = [name for name in parts if ape[method] > ape[name]]
+    if not worse:
+        return ""
+    why = f"{method} errs more than {' and '.join(worse)} in metres ({evaluations[method].alignment} APE)"
+    if all(shape[method] <= shape[name] for name in parts):
+        return (
+            f"{why}, and less than {' and '.join(parts)} in shape (Sim(3) APE): its path keeps the scale in which it "
+            "began, where they take up each new measurement of it."
+        )
+    return f"{why}; in shape (Sim(3) APE) it is {shape[method]:.3f} m."
 
 
 def _row(folder: Path, run: Run) -> list[str]:
@@ -86,16 +108,16 @@ def _row(folder: Path, run: Run) -> list[str]:
     except (OSError, ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
         raise ResultsError(f"{path} cannot be read, evaluate the run again: {error}") from None
     if (run.info.get("smoothed") or "").startswith("not determined"):
-        cells[2] = "not determined"
+        cells[RUN_COLUMNS.index("smoothed (m)") - TEXT_COLUMNS] = "not determined"
     seen = np.isin(run.frames.get("status", ()), (Status.TRACKED, Status.STATIC)).mean() if len(run.online) else np.nan
     times = [column for name, column in run.frames.items() if name.endswith("_ms") and name != "read_ms"]
     peak = run.info.get("totals", {}).get("peak_memory_mb")
     return [
         run.name,
         *(run.info.get(key) or "-" for key in ("mode", "scale_source", "status")),
+        *cells,
         _cell(100 * run.coverage, ".1f", " %"),
         _cell(100 * run.coverage * seen, ".1f", " %"),
-        *cells,
         _cell(float(np.median(np.sum(times, axis=0))) if times else None, ".1f"),
         _cell(peak if isinstance(peak, float | int) else None, ".0f"),
     ]
@@ -107,8 +129,8 @@ def _metric_cells(metrics: dict[str, Any]) -> list[str]:
     return [
         metrics.get("alignment", "-"),
         _cell(_pick(metrics, "ape_trans", "rmse"), ".3f"),
-        _cell(metrics.get("ape_smoothed"), ".3f"),
         _cell(metrics.get("ape_scaled"), ".3f"),
+        _cell(metrics.get("ape_smoothed"), ".3f"),
         _cell(_pick(metrics, "rpe_trans", "rmse"), ".4f"),
         _cell(_pick(metrics, "drift", "t_rel"), ".2f"),
         _cell(_pick(metrics, "drift", "r_rel"), ".3f"),

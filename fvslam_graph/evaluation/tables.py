@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING
 
 from fvslam_graph.core.files import one_line
@@ -33,12 +34,14 @@ class Table:
         rows: The cells of each row.
         words: How many columns, from the left, are words; the others are numbers.
         caption: Below the table.
+        keys: How many columns, from the left, say which row it is.
     """
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     words: int = 1
     caption: str = ""
+    keys: int = 1
 
     def markdown(self) -> str:
         """The Markdown table with the caption below."""
@@ -65,19 +68,38 @@ class Table:
             )
         )
 
-    def rich(self, across: bool = False) -> RichTable:
-        """For the terminal; `across` makes a column of each row, which fits where there are few rows."""
+    def rich(self, width: int) -> list[RichTable]:
+        """For a terminal of `width` characters: in as many tables as the columns need, each with the key columns."""
+        from rich import box
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        names, *rows = zip(*self._lines, strict=True) if across else self._lines
-        table = RichTable(caption=Text(one_line(self.caption)))
-        for number, name in enumerate(names):
-            left = number == 0 if across else number < self.words
-            table.add_column(Text(name), justify="left" if left else "right")
-        for row in rows:
-            table.add_row(*map(Text, row))
-        return table
+        names, *rows = self._lines
+        widths = [_width(column) for column in zip(names, *rows, strict=True)]
+        widths[: self.keys] = [min(wide, max(width // (2 * self.keys), 12)) for wide in widths[: self.keys]]
+        tables = []
+        for columns in _blocks(widths, self.keys, width):
+            table = RichTable(box=box.SIMPLE, pad_edge=False)
+            for number in columns:
+                table.add_column(
+                    Text(names[number]),
+                    justify="left" if number < self.words else "right",
+                    width=widths[number],
+                    overflow="fold",
+                )
+            for row in rows:
+                table.add_row(*(Text(row[number]) for number in columns))
+            tables.append(table)
+        return tables
+
+    def html(self) -> str:
+        """The table for a notebook."""
+        head, *body = ([escape(cell) for cell in row] for row in self._lines)
+        cells = "".join(f"<tr><td>{'</td><td>'.join(row)}</td></tr>" for row in body)
+        caption = f"<p>{escape(self.caption)}</p>" if self.caption else ""
+        return (
+            f"<table><thead><tr><th>{'</th><th>'.join(head)}</th></tr></thead><tbody>{cells}</tbody></table>{caption}"
+        )
 
     @property
     def _lines(self) -> Sequence[Sequence[str]]:
@@ -87,3 +109,22 @@ class Table:
 def latex_escaped(text: str) -> str:
     """Text as LaTeX shows it as it is, on one line."""
     return "".join(_LATEX.get(character, character) for character in one_line(text))
+
+
+def _width(column: Sequence[str]) -> int:
+    """Characters that a column needs: its name breaks at spaces, its cells do not."""
+    from rich.cells import cell_len
+
+    name, *cells = column
+    return max(map(cell_len, (*name.split(), *cells)), default=1)
+
+
+def _blocks(widths: Sequence[int], keys: int, width: int) -> list[list[int]]:
+    """Numbers of columns that fit beside each other, three spaces apart, after the key columns."""
+    key = list(range(keys))
+    blocks = [list(key)]
+    for number in range(keys, len(widths)):
+        if len(blocks[-1]) > keys and sum(widths[n] + 3 for n in (*blocks[-1], number)) > width:
+            blocks.append(list(key))
+        blocks[-1].append(number)
+    return blocks

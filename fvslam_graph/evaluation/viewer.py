@@ -21,7 +21,7 @@ from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame, Sequence
 from fvslam_graph.core.trajectory import Status, Trajectory
-from fvslam_graph.evaluation.landmark_plots import OUTCOMES, recording_of
+from fvslam_graph.evaluation.plots.landmarks import OUTCOMES, recording_of
 from fvslam_graph.runs.landmark_table import landmark_columns, landmark_points, read_landmarks_by_frame
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import LANDMARKS
@@ -164,7 +164,7 @@ class Viewer:
         log(IMAGE, pinhole, static=True)
         classes = [
             rr.AnnotationInfo(id=number, label=label, color=_rgb(colour))
-            for number, (colour, label) in enumerate(OUTCOMES.values())
+            for number, (colour, _, label) in enumerate(OUTCOMES.values())
         ]
         log("world", rr.AnnotationContext(classes), static=True)
         paths = dict.fromkeys((ONLINE, SMOOTHED, TRUTH), rr.LineStrips3D)

@@ -101,6 +101,16 @@ def read_observations(path: Path) -> Observations:
     )
 
 
+def landmark_frames(path: Path) -> NDArray[np.int64]:
+    """The frames that have landmarks, in order.
+
+    Raises:
+        ValueError: The file is damaged.
+    """
+    lines = read_text(path, ResultsError, OWN_MAX_SIZE).splitlines()[1:]
+    return np.unique(np.array([line.partition(",")[0] for line in lines], dtype=str).astype(np.int64))
+
+
 def read_landmarks(path: Path, frame: int) -> dict[str, NDArray[np.generic]]:
     """The columns of one frame; NaN where a cell is empty.
 

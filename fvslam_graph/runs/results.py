@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,24 @@ class Run:
     pose_covariances: NDArray[np.float64] | None = None
     gnss: SensorSeries | None = None
     folder: Path | None = None
+
+    def __repr__(self) -> str:
+        return f"Run({self.name!r}, {', '.join(self._facts.values())})"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(fact)}</td></tr>" for name, fact in self._facts.items())
+        return f"<table>{rows}</table>"
+
+    @property
+    def _facts(self) -> dict[str, str]:
+        """What it is, in a few words."""
+        return {
+            "mode": f"{self.info.get('mode') or 'unknown mode'} on {self.info.get('sequence') or 'unnamed sequence'}",
+            "status": str(self.info.get("status")),
+            "poses": f"{len(self.online)} poses of {self.info.get('frames') or 'unknown'} frames",
+            "path": f"{self.online.path_length:.4g} m, scale from {self.info.get('scale_source') or 'unknown'}",
+            "ground truth": "no ground truth" if self.ground_truth is None else "with ground truth",
+        }
 
     @property
     def coverage(self) -> float:

@@ -46,6 +46,7 @@ GROUND_TRUTH, FRAMES, COVARIANCES = "ground_truth.tum", "frames.csv", "covarianc
 CONFIG, METRICS_FILE, REFERENCE = "config.yaml", "metrics.json", "reference.tum"
 LANDMARKS, GNSS_FILE = "landmarks.csv", "gnss.csv"
 GRAPH_FILES = (G2O, LANDMARKS_PLY, FACTORS, VALUES)
+FIGURES = ("trajectory", "error", "drift", "covariance", "nees", "speed", "features")
 
 ROUNDING = 1e-6  # share of its largest variance by which a covariance may be negative
 UNFINISHED = "unfinished"  # a folder for a new run where a finished one is kept until that, too, is finished
@@ -57,7 +58,7 @@ _OURS = (
     *(LANDMARKS, GNSS_FILE, METRICS_FILE, REFERENCE),
     *(f"{error}_{part}.zip" for error in ("ape", "rpe", "rpe_1m") for part in ("trans", "rot")),
     *(f"row_{align}.json" for align in ("none", "origin", "se3", "sim3")),
-    *(f"plot_{name}.{kind}" for name in ("trajectory", "speed", "features", "error") for kind in ("png", "pdf")),
+    *(f"plot_{name}.{kind}" for name in FIGURES for kind in ("png", "pdf")),
     f"plot_landmarks_{6 * '[0-9]'}.png",
 )
 

@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE, legible, save
+from fvslam_graph.evaluation.plots.style import (
+    COLUMN_WIDTH,
+    PAGE_WIDTH,
+    RUN_COLOURS,
+    STYLE,
+    Look,
+    legend_below,
+    legible,
+    save,
+    wrapped,
+)
 from fvslam_graph.runs.ownership import claim_files
 from fvslam_graph.study.results import EXTERNAL, StudyResults
 from fvslam_graph.study.statistics import COMPARED, Difference
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 PANEL_COLUMNS = 3  # panels beside each other
+_LABEL_WIDTH, _ROW_HEIGHT, _LINE_HEIGHT = 1.5, 0.17, 0.13  # inches
+_PANEL_WIDTH = 1.7  # inches, for a panel's title
 
 
 def draw_study(results: StudyResults, found: Sequence[Difference], out: Path) -> list[Path]:
@@ -44,89 +55,97 @@ def draw_study(results: StudyResults, found: Sequence[Difference], out: Path) ->
     return files
 
 
-def colours(results: StudyResults) -> dict[str, str]:
+def _looks(results: StudyResults) -> dict[str, Look]:
     """One for each mode."""
-    modes = results.table["mode"].unique()
-    return {mode: RUN_COLOURS[number % len(RUN_COLOURS)] for number, mode in enumerate(modes)}
+    return {mode: Look(number) for number, mode in enumerate(results.table["mode"].unique())}
 
 
-def _panels(results: StudyResults, height: float) -> tuple[Figure, Iterator[tuple[Axes, str, pd.DataFrame]]]:
-    """A figure with a panel for each sequence that has ground truth, and its runs."""
+def _panels(titles: Sequence[str], height: float, sharey: bool) -> tuple[Figure, list[Axes]]:
+    """A figure with a panel of this height (inches) for each title; panels in a row share their rows."""
     from matplotlib.figure import Figure
 
-    known = results.finished[results.finished["ape"].notna()]
-    sequences = known["sequence"].unique()
-    columns = min(PANEL_COLUMNS, len(sequences))
-    rows = -(-len(sequences) // columns)
-    figure = Figure(figsize=(max(6.5, 3.2 * columns + 1), height * rows + 0.5), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for spare in panels[len(sequences) :]:
+    columns = min(PANEL_COLUMNS, len(titles))
+    rows = -(-len(titles) // columns)
+    lines = [wrapped(legible(title), _PANEL_WIDTH) for title in titles]
+    height += _LINE_HEIGHT * max(line.count("\n") for line in lines)
+    width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
+    figure = Figure(figsize=(width, height * rows + 0.5), layout="constrained")
+    panels = list(figure.subplots(rows, columns, squeeze=False, sharey=sharey).ravel())
+    for spare in panels[len(titles) :]:
         spare.remove()
-    return figure, (
-        (axes, sequence, known[known["sequence"] == sequence])
-        for axes, sequence in zip(panels, sequences, strict=False)
-    )
+    for axes, title in zip(panels, lines, strict=False):
+        axes.set_title(title)
+    return figure, panels[: len(titles)]
+
+
+def _name_rows(axes: Axes, names: Sequence[str]) -> None:
+    axes.set_yticks(range(len(names)), [wrapped(name, _LABEL_WIDTH) for name in names])
+    axes.set_ylim(len(names) - 0.5, -0.5)
+
+
+def _height(names: Sequence[str]) -> float:
+    """Inches of a panel whose rows have these names."""
+    lines = max(wrapped(name, _LABEL_WIDTH).count("\n") for name in names)
+    return 0.7 + (_ROW_HEIGHT + _LINE_HEIGHT * lines) * len(names)
 
 
 def _accuracy(results: StudyResults) -> Figure:
-    by_mode = colours(results)
+    looks = _looks(results)
+    known = results.finished[results.finished["ape"].notna()]
     own = results.table[results.table["preset"] != EXTERNAL]
-    names = [label for label in ("mode", "preset", "variant") if label == "mode" or own[label].nunique() > 1]
-    longest = results.table.groupby("sequence")[names].apply(lambda rows: len(rows.drop_duplicates())).max()
-    figure, panels = _panels(results, 1 + 0.25 * longest)
-    for axes, sequence, runs in panels:
-        labels = []
-        for row, (label, group) in enumerate(runs.groupby(names, sort=False)):
-            labels.append(", ".join(legible(part) for part in label if part))
-            colour = by_mode[label[0]]
-            axes.plot(group["ape"], [row] * len(group), ".", color=colour, alpha=0.5)
-            axes.plot(group["ape"].median(), row, "|", color=colour, markersize=14, markeredgewidth=2)
-        axes.set(title=legible(sequence), xlabel="APE (m)", yticks=range(len(labels)), yticklabels=labels)
-        axes.set(xlim=(0, 1.05 * runs["ape"].max()), ylim=(len(labels) - 0.5, -0.5))
-    figure.suptitle(
-        f"online trajectories, {results.align} alignment; one dot a seed, a bar for the median", fontsize=10
-    )
+    labels = [label for label in ("mode", "preset", "variant") if label == "mode" or own[label].nunique() > 1]
+    methods = list(known[labels].drop_duplicates().itertuples(index=False, name=None))
+    names = [", ".join(legible(part) for part in method if part) for method in methods]
+    sequences = known["sequence"].unique()
+    figure, panels = _panels(sequences, _height(names), sharey=True)
+    for axes, sequence in zip(panels, sequences, strict=True):
+        runs = known[known["sequence"] == sequence]
+        for method, group in runs.groupby(labels, sort=False):
+            row, look = methods.index(method), looks[method[0]]
+            axes.plot(group["ape"], [row] * len(group), **look.point)
+            axes.plot(group["ape"].median(), row, "|", color="black", markersize=10, markeredgewidth=1.2)
+        axes.set(xlabel="APE (m)", xlim=(0, 1.05 * runs["ape"].max() or 1))
+        _name_rows(axes, names)
+    facts = f"online trajectories, {results.align} alignment; a dot a seed, a bar for the median"
+    figure.suptitle(wrapped(facts, figure.get_figwidth()))
     return figure
 
 
 def _cost(results: StudyResults) -> Figure:
-    by_mode = colours(results)
-    figure, panels = _panels(results, 2.8)
-    for axes, sequence, runs in panels:
-        for mode, group in runs.groupby("mode", sort=False):
-            name, colour = legible(str(mode)), by_mode[str(mode)]
-            axes.plot(group["ms"], group["ape"], "o", color=colour, alpha=0.6, markersize=5, label=name)
-        axes.set(title=legible(sequence), xlabel="time per frame (ms)", ylabel="APE (m)")
+    looks = _looks(results)
+    known = results.finished[results.finished["ape"].notna() & results.finished["ms"].notna()]
+    sequences = known["sequence"].unique()
+    figure, panels = _panels(sequences, 1.9, sharey=False)
+    for axes, sequence in zip(panels, sequences, strict=True):
+        runs = known[known["sequence"] == sequence]
+        for mode, look in looks.items():
+            group = runs[runs["mode"] == mode]
+            if mode in known["mode"].values:
+                axes.plot(group["ms"], group["ape"], **look.point, label=legible(mode))
+        axes.set(xlabel="time per frame (ms)", ylabel="APE (m)")
         axes.set_ylim(bottom=0)
         axes.set_xlim(left=0)
-        handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=5)
+    legend_below(figure, panels[0])
     return figure
 
 
 def _differences(found: Sequence[Difference]) -> Figure:
-    from matplotlib.figure import Figure
-
     shown = [difference for difference in found if difference.metric == "ape"]
     sequences = list(dict.fromkeys(difference.sequence for difference in shown))
     pairs = list(dict.fromkeys((difference.a, difference.b) for difference in shown))
-    columns = min(PANEL_COLUMNS, len(sequences))
-    rows = -(-len(sequences) // columns)
-    figure = Figure(figsize=(max(6.5, 3.2 * columns + 1), (1 + 0.25 * len(pairs)) * rows + 0.5), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for spare in panels[len(sequences) :]:
-        spare.remove()
-    for axes, sequence in zip(panels, sequences, strict=False):
+    names = [f"{legible(a)} / {legible(b)}" for a, b in pairs]
+    figure, panels = _panels(sequences, _height(names), sharey=True)
+    for axes, sequence in zip(panels, sequences, strict=True):
         for difference in shown:
             if difference.sequence == sequence:
                 row = pairs.index((difference.a, difference.b))
-                colour = RUN_COLOURS[0] if difference.significant else "grey"
+                sure = difference.significant
+                colour = RUN_COLOURS[0] if sure else "grey"
                 if np.isfinite(difference.low):
-                    axes.plot([difference.low, difference.high], [row, row], color=colour, linewidth=2)
-                axes.plot(difference.ratio, row, "o", color=colour, markersize=5)
+                    axes.plot([difference.low, difference.high], [row, row], color=colour, linewidth=1.5)
+                axes.plot(difference.ratio, row, "o", color=colour, markerfacecolor=colour if sure else "white")
         axes.axvline(1, color="black", linewidth=0.8)
-        axes.set(title=legible(sequence), xlabel=f"ratio of {COMPARED['ape']}")
-        axes.set(yticks=range(len(pairs)), yticklabels=[f"{legible(a)} / {legible(b)}" for a, b in pairs])
-    panels[0].set_ylim(len(pairs) - 0.5, -0.5)
-    figure.suptitle("below 1: the first is better; grey: not significant", fontsize=10)
+        axes.set(xlabel=f"ratio of {COMPARED['ape']}")
+        _name_rows(axes, names)
+    figure.suptitle(wrapped("below 1: the first is better; hollow and grey: not significant", figure.get_figwidth()))
     return figure

@@ -13,7 +13,7 @@ import numpy as np
 
 from fvslam_graph.core.config import Config
 from fvslam_graph.core.errors import FvslamError, ResultsError
-from fvslam_graph.core.files import MAX_NAME_LENGTH, write_json, writing
+from fvslam_graph.core.files import MAX_NAME_LENGTH, one_line, write_json, writing
 from fvslam_graph.core.plugins import Plugin, source_hash
 from fvslam_graph.core.text_files import read_text
 from fvslam_graph.core.trajectory import Status
@@ -167,6 +167,14 @@ def metric_columns(evaluation: Evaluation) -> Row:
         "ape_smoothed": evaluation.smoothed,
         "unjudged": ", ".join(part for part, found in evaluation.nees.items() if not found.judged),
     }
+
+
+def outcome_line(row: Row) -> str:
+    """One line on a run: which, and how it ended."""
+    labels = [f"{row['mode']} on {row['sequence']}", row["variant"], f"seed {row['seed']}"]
+    ape = row.get("ape", np.nan)
+    said = f"APE {ape:.4g} m" if row["status"] == "finished" and np.isfinite(ape) else row["status"]
+    return one_line(f"{', '.join(label for label in labels if label)}: {said}")
 
 
 METRIC_COLUMNS = (

@@ -92,6 +92,14 @@ class StudyResults:
         table[list(_WORDS)] = table[list(_WORDS)].astype(object).fillna("").astype(str)
         return cls(table.astype(types), align)
 
+    def __repr__(self) -> str:
+        modes, sequences = (self.table[label].nunique() for label in ("mode", "sequence"))
+        done = f"{len(self.finished)} of {len(self.table)} runs came to their end"
+        return f"StudyResults({modes} modes on {sequences} sequences, {done}, {self.align} alignment)"
+
+    def _repr_html_(self) -> str:
+        return self.summary().html()
+
     @property
     def finished(self) -> pd.DataFrame:
         """The runs that came to their end."""
@@ -161,14 +169,15 @@ class StudyResults:
             scale = "/".join(sorted(set(finished["scale_source"]) - {""})) or "-"
             rows.append([*(labels[label] for label in shown), scale, runs, *cells])
         names = (*shown, "scale", "runs", *(name for name, _, _ in columns.values()))
-        return Table(names, rows, len(shown) + 2, self.caption)
+        return Table(names, rows, len(shown) + 2, self.caption, len(shown))
 
     def failures(self) -> Table:
         """The runs that did not come to their end, or not with all that they should leave, and why."""
         failed = self.table[(self.table["status"] != "finished") | (self.table["note"] != "")]
         said = failed["status"].where(failed["note"] == "", failed["status"] + ", but " + failed["note"])
-        rows = failed[[*LABELS, "seed"]].assign(status=said).astype(object)
-        return Table(list(rows), [["-" if pd.isna(cell) else str(cell) for cell in row] for row in rows.to_numpy()], 6)
+        rows = failed[[*LABELS, "seed"]].assign(why=said).astype(object)
+        cells = [["-" if pd.isna(cell) else str(cell) for cell in row] for row in rows.to_numpy()]
+        return Table(list(rows), cells, 6, keys=4)
 
     def write(self, folder: Path) -> None:
         """Write results.csv, results.parquet (columns RESULTS), costs.csv, summary.md and summary.tex.

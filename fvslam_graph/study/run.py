@@ -12,7 +12,7 @@ import yaml
 
 from fvslam_graph.core.errors import FvslamError, StudyError
 from fvslam_graph.core.files import file_name, write_file, writing
-from fvslam_graph.evaluation.plots import plot_runs
+from fvslam_graph.evaluation.plots.runs import plot_runs
 from fvslam_graph.runs.ownership import Kind, claimed
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
@@ -27,6 +27,8 @@ from fvslam_graph.study.spec import Study
 from fvslam_graph.study.statistics import differences
 
 _log = logging.getLogger(__name__)
+
+_FIGURES = ("trajectory", "error", "drift", "covariance", "nees")  # of each sequence
 
 WatchRows = Callable[[Iterable[tuple[int, Row]], int], Iterable[tuple[int, Row]]]
 """Takes rows as they come and how many there will be; hands them on."""
@@ -140,4 +142,4 @@ def _draw_trajectories(results: StudyResults, sequence: str, others: list[Run], 
     if not runs:
         return []
     folder = out / "figures" / file_name(sequence)
-    return plot_runs(runs, folder, results.align, ("trajectory", "error"), FIGURE_SUFFIXES)
+    return plot_runs(runs, folder, results.align, _FIGURES, FIGURE_SUFFIXES)

@@ -51,7 +51,7 @@ def make_run(tmp_path: Path) -> MakeRun:
         metadata = {"sequence": "drive", "frames": len(truth), "mode": "vo", "scale_source": "plane", **metadata}
         folder = tmp_path / name
         with RunWriter(folder, Settings(), metadata, truth if ground_truth else None) as writer:
-            pose = gtsam.Pose3()
+            pose = GaussianPose.identity()
             for index, stamp in enumerate(truth.stamps):
                 relative, covariance = gtsam.Pose3(), np.full((6, 6), np.nan)
                 if index:
@@ -59,19 +59,20 @@ def make_run(tmp_path: Path) -> MakeRun:
                     exact = gtsam.Pose3(exact.rotation(), gain * exact.translation())
                     relative = exact * gtsam.Pose3.Expmap(SIGMAS * rng.standard_normal(6))
                     covariance = np.diag(SIGMAS**2)
-                    pose = pose * relative
+                    pose = pose.compose(GaussianPose(relative, covariance))
                 scale = float(np.linalg.norm(relative.translation()))
                 writer.add(
                     FrameResult(
                         index=index,
                         stamp=stamp,
-                        pose=GaussianPose(pose, np.zeros((6, 6))),
+                        pose=pose,
                         status=Status.COASTED if 100 <= index < 110 else Status.TRACKED,
                         previous=max(index - 1, 0),
                         relative=GaussianPose(relative, covariance),
                         measures={
                             "tracks": 400 + 40 * rng.standard_normal(),
                             "inliers": 300 + 50 * np.sin(index / 20),
+                            "keyframe": max(index - 1, 0),
                             "scale": scale if index else np.nan,
                             "scale_sigma": SIGMAS[5],
                         },

@@ -5,12 +5,10 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.errors import ResultsError
-from fvslam_graph.evaluation.plots import level_axes, plot_runs
+from fvslam_graph.evaluation.plots.runs import FIGURES, level_axes, plot_runs
 from fvslam_graph.runs.run_folder import read_run
 
 from .conftest import MakeRun, drive
-
-NAMES = ("trajectory", "speed", "features", "error")
 
 
 def coloured(path: Path, colour: str) -> int:
@@ -24,7 +22,7 @@ def coloured(path: Path, colour: str) -> int:
 def test_figures_of_two_runs_hold_both(make_run: MakeRun, tmp_path: Path) -> None:
     folders = [make_run("first", truth=drive(80), gain=1.1), make_run("second", truth=drive(80), gain=0.9, seed=1)]
     files = plot_runs([read_run(folder) for folder in folders], tmp_path / "out")
-    assert sorted(path.name for path in files) == sorted(f"plot_{n}{s}" for n in NAMES for s in (".png", ".pdf"))
+    assert sorted(path.name for path in files) == sorted(f"plot_{n}{s}" for n in FIGURES for s in (".png", ".pdf"))
     for path in files:
         if path.suffix == ".pdf":
             assert path.read_bytes().startswith(b"%PDF")

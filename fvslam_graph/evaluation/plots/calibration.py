@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fvslam_graph.core.files import writing
-from fvslam_graph.evaluation.plots import RUN_COLOURS, STYLE, save
+from fvslam_graph.evaluation.plots.style import RUN_COLOURS, STYLE, save
 from fvslam_graph.sequences.board_calibration import BoardCalibration
 
 ARROW = 0.03  # of the image's width, length of an arrow as long as the root mean square

@@ -1,0 +1,1 @@
+"""Figures of runs on one sequence: paths, errors, drift, covariances, and what the estimator saw."""
