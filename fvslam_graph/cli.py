@@ -447,15 +447,16 @@ def calibrate(
     """
     from fvslam_graph.core.errors import CameraError
     from fvslam_graph.core.extras import require
+    from fvslam_graph.core.files import writing
     from fvslam_graph.evaluation.plots.calibration import plot_residuals
     from fvslam_graph.sequences import boards
     from fvslam_graph.sequences.board_calibration import calibrate as calibrated
 
     require("eval")  # for the picture
     picture = out.with_name(f"{out.stem}_residuals.png")
-    for file in (out, picture):
-        if file.exists():
-            raise CameraError(f"{file} exists and is not overwritten; give another name by --out")
+    with writing(out.parent):  # a name may be too long even to ask
+        if existing := [file for file in (out, picture) if file.exists()]:
+            raise CameraError(f"{existing[0]} exists and is not overwritten; give another name by --out")
     if checkerboard is not None and charuco is None and marker is None:
         board = boards.checkerboard(checkerboard, square)
     elif charuco is not None and checkerboard is None and marker is not None:

@@ -98,11 +98,11 @@ FIRST_POSE = """
 import sys
 from itertools import islice
 from fvslam_graph.core.config import load_config
-from fvslam_graph.pipeline import frame_estimator, resolve_config
+from fvslam_graph.pipeline import frame_estimator, resolve_config, through
 from fvslam_graph.sequences.open import open_sequence
 sequence = open_sequence(sys.argv[1])
 estimator = frame_estimator(sequence, resolve_config(load_config(), sequence))
-print(*(result.status for result in islice(estimator.through(sequence), 2)))
+print(*(result.status for result in islice(through(estimator, sequence), 2)))
 print(*{name.partition(".")[0] for name in sys.modules})
 """
 

@@ -12,7 +12,7 @@ from fvslam_graph.sequences.open import open_sequence
 
 README = Path(__file__).parents[1] / "README.md"
 BLOCKS = re.findall(r"(?:^ {4}.*\n|^\n)+", README.read_text(), re.MULTILINE)
-SNIPPETS = [textwrap.dedent(block) for block in BLOCKS if "fvslam_graph." in block]
+SNIPPETS = [textwrap.dedent(block) for block in BLOCKS if "import fvslam_graph" in block]
 
 
 @pytest.fixture

@@ -72,7 +72,7 @@ class Job:
         return {
             "sequence": self.source.label,
             "mode": self.config.mode,
-            "preset": self.config.preset,
+            "preset": str(self.config.preset),
             "variant": self.variant,
             "seed": self.config.seed,
         }

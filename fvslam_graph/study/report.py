@@ -119,12 +119,16 @@ def write_report(
 
 
 def grouped(table: Table) -> GroupedTable:
-    """Rows by their sequence; of several columns that say which method a row is, one; of numbers, the best marked."""
+    """Rows by their sequence; of several columns that say which method a row is, one; of numbers, the best marked.
+
+    Columns of numbers that no row has are left out.
+    """
     of_sequence = table.columns.index("sequence") if "sequence" in table.columns else None
     keys = [column for column in range(table.keys) if column != of_sequence]
     several = [column for column in keys if len({row[column] for row in table.rows}) > 1] or keys[:1]
     words = [column for column in range(table.keys, table.words) if column != of_sequence]
-    numbers = list(range(table.words, len(table.columns)))
+    filled = [{row[column] for row in table.rows} - {"-"} for column in range(len(table.columns))]
+    numbers = [column for column in range(table.words, len(table.columns)) if filled[column]]
     sequences = [row[of_sequence] if of_sequence is not None else "" for row in table.rows]
     groups = []
     for sequence in dict.fromkeys(sequences):

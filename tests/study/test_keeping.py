@@ -136,7 +136,7 @@ def test_other_systems_are_looked_at_first(drive, tmp_path, monkeypatch, unplott
     assert len(seen) == 2 and "absent.tum" in seen[0] and "ns on drive: failed" in seen[1]
     assert outcome.table["status"].str.split(":").str[0].tolist() == ["finished", "failed", "failed"]
     failures = outcome.failures()
-    assert all(isinstance(cell, str) for row in failures.rows for cell in row) and failures.rich(across=True)
+    assert all(isinstance(cell, str) for row in failures.rows for cell in row) and failures.rich(80)
     assert "ns.tum" in (tmp_path / "out" / "report.html").read_text() or "ns" in failures.rows[1]
 
 

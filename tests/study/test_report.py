@@ -41,7 +41,7 @@ def test_it_needs_nothing_else_and_says_all(small_study):
     text = (small_study / "report.html").read_text()
     assert "A &lt;small&gt; study" in text and "<small> study" not in text
     assert not re.findall(r"""(?:src|href)=["']?(?!#)[^"'> ]+""", text.replace("xlink:", ""))
-    for word in ("lost_100%", "does not exist", "gtsam:", "platform:", "road &amp; facades", "fewer than 5 seeds"):
+    for word in ("lost_100%", "does not exist", "gtsam:", "platform:", "road &amp; facades", "too few recordings"):
         assert word in text
     assert text.index("<h2>Trajectories") < text.index("<h2>Results") < text.index("<h2>All runs")
     assert text.count("<svg") == 3 + 2 * 5
@@ -137,7 +137,7 @@ def test_in_a_browser(small_study, tmp_path, width, dark):
     def numbers(cells):
         return [float("inf") if cell == "-" else float(cell.split()[0]) for cell in cells]
 
-    assert len(found["before"]) == 4
+    assert len(found["before"]) == 5
     assert numbers(found["rising"]) == sorted(numbers(found["before"]))
     assert numbers(found["falling"]) == sorted(numbers(found["before"]), reverse=True)
     assert found["average"] == ["average", "average", "average"]
