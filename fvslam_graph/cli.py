@@ -225,14 +225,7 @@ def live(
 
     line = pose_line(format)
     chosen = _config(preset, config, {"mode": mode, "scale.source": scale, "seed": seed}, settings)
-    source = open_live(
-        where,
-        calibration=camera,
-        fov=fov,
-        camera_height=camera_height,
-        camera_pitch=camera_pitch,
-        patience=patience,
-    )
+    source = open_live(where, camera, fov, camera_height=camera_height, camera_pitch=camera_pitch, patience=patience)
     typer.echo(f"waiting for images from {source.name}; Ctrl-C ends", err=True)
     with source, _ended_by_signals(source.stop), ExitStack() as stack:
         sequence = source.sequence

@@ -191,16 +191,11 @@ def evaluate(
     errors = PoseErrors(pairs, align, *aligned(pairs, align, fit), details.name).results()
     if "rpe_1m_trans" not in errors:
         notes.append("no relative pose error over 1 m: the path is shorter")
-    poses, truth = pairs.estimate.matrices, pairs.reference.matrices
     if (length := pairs.reference.path_length) <= LENGTHS[0]:
         notes.append(f"no t_rel and r_rel: the path of {length:.1f} m is shorter than {LENGTHS[0]:.0f} m")
 
     scale = math.nan if fit is None else fit.scale
-    nees, quality = _consistency(pairs, details.relatives, scale, align)
-    if quality is not None:
-        notes += unjudged(quality, nees)
-    if not nees:
-        notes.append("no NEES: no relative motion has a covariance and a reference")
+    nees, quality, doubts = _consistency(pairs, details.relatives, scale, align)
     return Evaluation(
         name=details.name,
         alignment=align,
@@ -210,22 +205,28 @@ def evaluate(
         scale=scale,
         ape_scaled=math.nan if fit is None else _ape_scaled(pairs, fit),
         errors=errors,
-        drift=drift(poses, truth),
-        drift_scaled=drift(poses, truth, scale),
+        drift=drift(pairs.estimate.matrices, pairs.reference.matrices),
+        drift_scaled=drift(pairs.estimate.matrices, pairs.reference.matrices, scale),
         nees=nees,
         reference=quality,
-        notes=tuple(notes),
+        notes=(*notes, *doubts),
     )
 
 
 def _consistency(
     pairs: TrajectoryPairs, relatives: Relatives | None, scale: float, align: Alignment
-) -> tuple[dict[str, Consistency], ReferenceQuality | None]:
-    """The NEES of relative motions by what it is of, and whether the reference can judge it."""
-    if relatives is None:
-        return {}, None
-    quality = reference_quality(pairs, relatives, 1.0 if math.isnan(scale) else scale)
-    return motion_nees(relative_errors(pairs, relatives, scale if align is Alignment.SIM3 else 1.0), quality), quality
+) -> tuple[dict[str, Consistency], ReferenceQuality | None, list[str]]:
+    """The NEES of relative motions by what it is of, what the reference is like, and why it cannot judge some."""
+    nees: dict[str, Consistency] = {}
+    quality = None
+    doubts = []
+    if relatives is not None:
+        quality = reference_quality(pairs, relatives, 1.0 if math.isnan(scale) else scale)
+        nees = motion_nees(relative_errors(pairs, relatives, scale if align is Alignment.SIM3 else 1.0), quality)
+        doubts = unjudged(quality, nees)
+    if not nees:
+        doubts.append("no NEES: no relative motion has a covariance and a reference")
+    return nees, quality, doubts
 
 
 def _association_notes(

@@ -121,9 +121,9 @@ class LiveCamera:
 
 def open_live(
     where: str,
-    *,
     calibration: str | Path | None = None,
     fov: float | None = None,
+    *,
     camera_height: float | None = None,
     camera_pitch: float | None = None,
     patience: float | None = None,

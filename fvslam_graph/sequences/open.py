@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypedDict, Unpack
 
 import numpy as np
 
@@ -40,25 +40,10 @@ class Format(Protocol):
 FORMATS: tuple[Format, ...] = (kitti_odometry, kitti_raw, karlsruhe, euroc, tum_rgbd, folder, bag, video)
 
 
-def open_sequence(
-    path: str | Path,
-    *,
-    frames: str | None = None,
-    stride: int = 1,
-    scale: float = 1.0,
-    camera_height: float | None = None,
-    camera_pitch: float | None = None,
-    camera_k1: float | None = None,
-    fov: float | None = None,
-    telemetry: str | Path | None = None,
-    telemetry_offset: float | None = None,
-    format: str | None = None,
-    topic: str | None = None,
-) -> Sequence:
-    """Open a recording of any known format, or a synthetic world by its name (`synthetic:uav?seed=3`).
+class SequenceOptions(TypedDict, total=False):
+    """What of a recording to open, and what is known of it beside its files.
 
-    Args:
-        path: Folder, video file, bag or name.
+    Attributes:
         frames: `START:STOP`, of which either may be left out.
         stride: Take every n-th frame.
         scale: Resize the images by this factor, 0 < scale <= 1.
@@ -70,40 +55,58 @@ def open_sequence(
         telemetry_offset: Seconds to add to its times to have those since the first frame; estimated if not given.
         format: Name of the format, or the path of one such as "mypkg:MyFormat", instead of finding out.
         topic: Image topic of a ROS bag, where it holds several.
+    """
+
+    frames: str | None
+    stride: int
+    scale: float
+    camera_height: float | None
+    camera_pitch: float | None
+    camera_k1: float | None
+    fov: float | None
+    telemetry: str | Path | None
+    telemetry_offset: float | None
+    format: str | None
+    topic: str | None
+
+
+def open_sequence(path: str | Path, **options: Unpack[SequenceOptions]) -> Sequence:
+    """Open a recording of any known format, or a synthetic world by its name (`synthetic:uav?seed=3`).
+
+    Args:
+        path: Folder, video file, bag or name.
+        options: See `SequenceOptions`.
 
     Raises:
         FvslamError: One sentence on what is missing, damaged or out of range, and where.
     """
+    if unknown := set(options) - set(SequenceOptions.__annotations__):
+        raise TypeError(f"a sequence is opened without {', '.join(sorted(unknown))}")
+    scale, fov, k1 = options.get("scale", 1.0), options.get("fov"), options.get("camera_k1")
     if not 0 < scale <= 1:
         raise SequenceError(f"the scale must be in (0, 1], not {scale:g}")
-    start, stop = _slice(frames or ":")
+    start, stop = _slice(options.get("frames") or ":")
     if str(path).startswith("synthetic:"):
-        sequence = _synthetic(path, topic)
+        sequence = _synthetic(path, options.get("topic"))
     else:
-        sequence = _recorded(Path(path), format, topic, fov)
+        sequence = _recorded(Path(path), options.get("format"), options.get("topic"), fov)
     if fov is not None and sequence.format != video.FORMAT:
         raise SequenceError(f"a field of view is for videos; {path} has a calibration")
-    sequence = _with_telemetry(sequence, path, telemetry, telemetry_offset)
-    sequence = override_ground(sequence, camera_height, camera_pitch).select(start, stop, stride)
-    if camera_k1 is not None:
-        sequence = sequence.undistorted(camera_k1)
+    sequence = _with_telemetry(sequence, path, options.get("telemetry"), options.get("telemetry_offset"))
+    sequence = override_ground(sequence, options.get("camera_height"), options.get("camera_pitch"))
+    sequence = sequence.select(start, stop, options.get("stride", 1))
+    if k1 is not None:
+        sequence = sequence.undistorted(k1)
     if scale != 1:
         sequence = sequence.scaled(scale)
-    source = {
-        "path": str(path) if str(path).startswith("synthetic:") else str(Path(path).expanduser().absolute()),
-        "frames": frames,
-        "stride": stride,
-        "scale": scale,
-        "camera_height": camera_height,
-        "camera_pitch": camera_pitch,
-        "camera_k1": camera_k1,
-        "fov": fov,
-        "telemetry": None if telemetry is None else str(Path(telemetry).expanduser().absolute()),
-        "telemetry_offset": telemetry_offset,
-        "format": format,
-        "topic": topic,
-    }
+    places = {"path": path, "telemetry": options.get("telemetry")}
+    source = {**options, **{name: _absolute(place) for name, place in places.items() if place is not None}}
     return replace(sequence, source=source)
+
+
+def _absolute(place: str | Path) -> str:
+    """A path that means the same in any folder; the name of a synthetic world as it is."""
+    return str(place) if str(place).startswith("synthetic:") else str(Path(place).expanduser().absolute())
 
 
 def topics_of(path: str | Path) -> tuple[Topic, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,18 +140,23 @@ def frame_number(image: Image) -> int:
     return int(image[0, :_DIGITS] @ 256 ** np.arange(_DIGITS))
 
 
+class SceneOptions(TypedDict, total=False):
+    """What may be left out of a PointScene."""
+
+    noise: float
+    outliers: float
+    seed: int
+    reach: float
+    ground: Ground | None
+
+
 def simulate(
     trajectory: Trajectory,
     camera: Camera,
     surface: Surface,
-    *,
     landmarks: int = 5000,
     life: int | None = None,
-    noise: float = 0.0,
-    outliers: float = 0.0,
-    seed: int = 0,
-    reach: float = np.inf,
-    ground: Ground | None = None,
+    **options: Unpack[SceneOptions],
 ) -> PointScene:
     """A scene for any camera path: each landmark lies where a random pixel of a random frame meets a surface.
 
@@ -162,11 +167,12 @@ def simulate(
         landmarks: Their number.
         life: Frames for which a landmark can be seen at most, among them the random one; without it, for as long as
             it is in view.
-        noise, outliers, seed, reach, ground: As in PointScene.
+        options: As in PointScene.
 
     Raises:
         SequenceError: A number is out of its range.
     """
+    noise, outliers, seed = options.get("noise", 0.0), options.get("outliers", 0.0), options.get("seed", 0)
     if not (
         len(trajectory) >= 1 and landmarks >= 1 and noise >= 0 and 0 <= outliers <= 1 and (life is None or life >= 1)
     ):
@@ -184,7 +190,7 @@ def simulate(
     lives = np.tile([0, len(trajectory)], (landmarks, 1))
     if life is not None:
         lives = (frames - rng.integers(0, life, landmarks))[:, None] + (0, life)
-    return PointScene(camera, trajectory, points, lives, noise, outliers, seed, reach, ground)
+    return PointScene(camera, trajectory, points, lives, **options)
 
 
 def within(near: float, far: float) -> Surface:
