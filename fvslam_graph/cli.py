@@ -61,6 +61,10 @@ CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera
 GroundPlane = Annotated[
     str | None, typer.Option(help="Direction from the camera down to the ground, and metres.", metavar="'NX NY NZ D'")
 ]
+StartPose = Annotated[
+    str | None,
+    typer.Option(help="Where the first image is taken, in the world of the poses.", metavar="'TX TY TZ QX QY QZ QW'"),
+]
 Altimeter = Annotated[Path | None, typer.Option(help="CSV of heights above the ground: stamp,height[,sigma].")]
 Gnss = Annotated[
     str | None,
@@ -154,6 +158,7 @@ def run(
     fov: Fov = None,
     telemetry: Telemetry = None,
     telemetry_offset: TelemetryOffset = None,
+    start_pose: StartPose = None,
     ground_plane: GroundPlane = None,
     altimeter: Altimeter = None,
     gnss: Gnss = None,
@@ -179,6 +184,8 @@ def run(
         telemetry=telemetry,
         telemetry_offset=telemetry_offset,
     )
+    if start_pose is not None:
+        sequence = sequence.starting_at(_floats(start_pose, "--start-pose", "seven numbers, tx ty tz qx qy qz qw"))
     sequence = _with_sensors(sequence, ground_plane, altimeter, gnss, gnss_sigma, chosen.seed)
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{file_name(chosen.mode)}-{chosen.preset}"
     said = _run(sequence, chosen, folder, rerun)
@@ -312,7 +319,9 @@ def export(
 
     exported = read_run(run)
     path = out or run.resolve().parent / export_name(exported, to, smoothed)
-    done = export_run(exported, to, path, smoothed, None if origin is None else _origin(origin), gnss)
+    form = "LAT,LON,ALT[,HEADING] in degrees and metres"
+    at = None if origin is None else _floats(origin, "--origin", form)
+    done = export_run(exported, to, path, smoothed, at, gnss)
     typer.echo(done.path)
     for note in done.notes:
         typer.echo(note, err=True)
@@ -582,10 +591,7 @@ def _with_sensors(
     from fvslam_graph.simulation.gnss import SimulatedReceiver
 
     if plane is not None:
-        try:
-            sequence = with_ground_plane(sequence, map(float, plane.replace(",", " ").split()))
-        except ValueError:
-            raise FvslamError(f"--ground-plane takes four numbers, nx ny nz d, not '{plane}'") from None
+        sequence = with_ground_plane(sequence, _floats(plane, "--ground-plane", "four numbers, nx ny nz d"))
     if altimeter is not None:
         sequence = with_altimeter(sequence, read_altimeter(altimeter))
     if gnss is None and sigma is not None:
@@ -761,18 +767,18 @@ def _pair(text: str, option: str, form: str) -> tuple[str, str]:
     return name, value
 
 
+def _floats(text: str, option: str, form: str) -> list[float]:
+    try:
+        return [float(number) for number in text.replace(",", " ").split()]
+    except ValueError:
+        raise FvslamError(f"{option} takes {form}, not '{text}'") from None
+
+
 def _numbers(text: str) -> list[int]:
     try:
         return [int(number) for number in text.split(",")]
     except ValueError:
         raise FvslamError(f"--landmarks takes numbers of frames, as in 10,50, not '{text}'") from None
-
-
-def _origin(text: str) -> list[float]:
-    try:
-        return [float(number) for number in text.split(",")]
-    except ValueError:
-        raise FvslamError(f"--origin takes LAT,LON,ALT[,HEADING] in degrees and metres, not '{text}'") from None
 
 
 def main() -> None:

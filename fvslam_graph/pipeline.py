@@ -8,17 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gtsam
 import numpy as np
 
 from fvslam_graph.core.choices import Mode, ScaleSource
 from fvslam_graph.core.config import Config
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.frame_result import Ending, FrameResult
+from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.modes import outside_mode
 from fvslam_graph.core.outside import method_results
 from fvslam_graph.core.plugins import Kind, Plugin, find
 from fvslam_graph.core.sensors import SensorKind
 from fvslam_graph.core.sequence import Frame, Sequence
+from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.estimator import frame_estimator, through
 from fvslam_graph.runs.results import Run, collect
 from fvslam_graph.runs.run_folder import RunWriter, read_run
@@ -55,6 +58,8 @@ def run_sequence(
     metadata = run_metadata(sequence, config, method)
     gnss = sequence.gnss or next((series for series in sequence.sensors if series.kind is SensorKind.GNSS), None)
     results, finish = _begin(sequence, config, method or outside_mode(config.mode))
+    if sequence.start is not None:
+        results, finish = _in_world(sequence.start, results, finish)
     results = watch(results)
     if sequence.gnss is not None:
         results = map(_with_enu_columns, results)
@@ -64,6 +69,25 @@ def run_sequence(
         for result in results:
             writer.add(result)
     return read_run(out)
+
+
+def _in_world(
+    start: gtsam.Pose3, results: Iterable[FrameResult], finish: Callable[[], Ending | None]
+) -> tuple[Iterable[FrameResult], Callable[[], Ending | None]]:
+    """The same in a world in which the first camera is at `start`; the graph's own files stay in that of the camera."""
+    begin = GaussianPose(start, np.zeros((6, 6)))
+
+    def placed() -> Ending | None:
+        ending = finish()
+        if ending is not None and ending.smoothed is not None:
+            smoothed = Trajectory(ending.smoothed.stamps, tuple(map(start.compose, ending.smoothed.poses)))
+            ending = replace(ending, smoothed=smoothed)
+        if ending is not None and ending.placement is not None:
+            enu_T_world = ending.placement.enu_T_world.compose(begin.inverse())
+            ending = replace(ending, placement=replace(ending.placement, enu_T_world=enu_T_world))
+        return ending
+
+    return (replace(result, pose=begin.compose(result.pose)) for result in results), placed
 
 
 def run_live(
@@ -145,7 +169,7 @@ def _with_known_scale(config: Config, sequence: Sequence) -> Config:
 def run_metadata(sequence: Sequence, config: Config, method: Plugin | None = None) -> dict[str, Any]:
     """The entries of run.json about sequence and mode; arguments as for `run_sequence`."""
     others = (method, find(sequence.format, (Kind.FORMAT,), ()))
-    camera = sequence.camera
+    camera, start = sequence.camera, sequence.start or gtsam.Pose3()
     return {
         "mode": config.mode,
         "sequence": sequence.name,
@@ -156,7 +180,8 @@ def run_metadata(sequence: Sequence, config: Config, method: Plugin | None = Non
         | {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")},
         "scale_source": OWN_SCALE if _has_own_scale(method or outside_mode(config.mode)) else config.scale.source.value,
         "ground": None if sequence.ground is None else sequence.ground.source,
-        "down": None if sequence.ground is None else sequence.ground.normal,
+        "down": None if sequence.ground is None else start.rotation().rotate(sequence.ground.normal),
+        "start": None if sequence.start is None else start.matrix(),
         "gnss": None if sequence.gnss is None else sequence.gnss.source,
         "notes": list(sequence.notes),
         "seed": config.seed,

@@ -2,6 +2,7 @@
 
 import json
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -77,4 +78,29 @@ def test_an_altimeter_of_another_rate_gives_the_scale(drive, tmp_path, fvslam):
 def test_what_cannot_be_used_is_one_sentence(drive, tmp_path, fvslam, options, complaint):
     code, _, err = fvslam("run", drive, "--out", tmp_path / "run", *options)
     assert code == 1 and complaint in err and len(err.splitlines()) == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_begins_where_it_is_said_to(drive, tmp_path, fvslam):
+    """Poses are in that world, online and smoothed; covariances, which are the camera's own, stay as they are."""
+    runs = []
+    for number, options in enumerate(((), ("--start-pose", "10 20 30 0 0.6 0 0.8"))):
+        given = ("--mode", "graph", "--gnss", "oxts:10:0.05", "--out", tmp_path / str(number))
+        assert fvslam("run", drive, *given, *options).code == 0
+        runs.append(read_run(tmp_path / str(number)))
+    first, moved = runs
+    start = gtsam.Pose3(gtsam.Rot3.Quaternion(0.8, 0, 0.6, 0), np.array([10.0, 20.0, 30.0]))
+    for name in ("online", "smoothed"):
+        expected = start.matrix() @ getattr(first, name).matrices
+        assert np.allclose(getattr(moved, name).matrices, expected, rtol=0, atol=1e-9)
+    assert np.array_equal(moved.pose_covariances, first.pose_covariances)
+    assert np.allclose(moved.info["down"], start.rotation().rotate(np.array(first.info["down"])))
+    there = np.array([run.info["placement"]["enu_T_world"] for run in runs])
+    assert np.allclose(there[1] @ start.matrix(), there[0])
+
+
+@pytest.mark.parametrize("start", ["1 2 3", "a b c d e f g", "0 0 0 0 0 0 2", "0 0 nan 0 0 0 1", ""])
+def test_a_start_that_is_none(drive, tmp_path, fvslam, start):
+    code, _, err = fvslam("run", drive, "--start-pose", start, "--out", tmp_path / "run")
+    assert code == 1 and "tx ty tz qx qy qz qw" in err
     assert not (tmp_path / "run").exists()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
 import cv2
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +19,7 @@ from fvslam_graph.core.sensors import Fix, SensorSeries
 from fvslam_graph.core.trajectory import Trajectory
 
 FIRST_FIX = 1e-3  # seconds before the first frame at which a fix is still of it
+QUATERNION_ERROR = 0.01  # of the length of a quaternion as it is written
 MAX_RESIDUAL_K1 = 0.3  # k1; more is no rest that a calibration has left
 
 
@@ -110,6 +112,7 @@ class Sequence:
         ground: What is known about the ground plane.
         sensors: Readings of other sensors, over the whole recording.
         gnss: Those fixes of a receiver that estimators are to use, with their deviations; see `with_gnss`.
+        start: world_T_camera of the first image, where the user knows it; see `starting_at`.
         notes: Gaps and oddities found on opening, one sentence each.
         source: What `open_sequence` takes to open it again; None where that is not known.
     """
@@ -123,6 +126,7 @@ class Sequence:
     ground: Ground | None = None
     sensors: tuple[SensorSeries, ...] = ()
     gnss: SensorSeries | None = None
+    start: gtsam.Pose3 | None = None
     notes: tuple[str, ...] = ()
     source: dict[str, Any] | None = None
 
@@ -165,6 +169,22 @@ class Sequence:
                 "give it by --gnss-sigma"
             )
         return replace(self, gnss=replace(fixes, sigmas=sigmas))
+
+    def starting_at(self, pose: Iterable[float]) -> Sequence:
+        """The sequence in a world in which its first image is taken there, instead of that of the first camera.
+
+        Args:
+            pose: tx, ty, tz (m), qx, qy, qz, qw, as in TUM's files.
+
+        Raises:
+            SequenceError: These are no seven such numbers.
+        """
+        numbers = np.array(tuple(pose), float)
+        length = np.linalg.norm(numbers[3:])
+        if len(numbers) != 7 or not np.isfinite(numbers).all() or abs(length - 1) > QUATERNION_ERROR:
+            raise SequenceError("the start is a position (m) and a quaternion of length 1: tx ty tz qx qy qz qw")
+        qx, qy, qz, qw = numbers[3:] / length
+        return replace(self, start=gtsam.Pose3(gtsam.Rot3.Quaternion(qw, qx, qy, qz), numbers[:3]))
 
     def _fixes(self, begin: float, end: float) -> tuple[Fix, ...]:
         """The fixes after `begin`, up to `end`, seconds."""

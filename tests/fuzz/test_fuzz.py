@@ -333,7 +333,7 @@ ODD = (
 OPTIONS = {
     "run {root}/folder --out {out}": (
         "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic "
-        "fov telemetry telemetry-offset ground-plane altimeter gnss gnss-sigma"
+        "fov telemetry telemetry-offset start-pose ground-plane altimeter gnss gnss-sigma"
     ),
     "live {root}/folder --patience 0.01 --out {out}": (
         "camera fov format mode preset config set seed camera-height camera-pitch"
