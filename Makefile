@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadscope
 CHROMIUM := DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium fonts-dejavu-core
 
-.PHONY: help demo test test-all test-numerics fuzz lint browser package installs lock clean
+.PHONY: help demo test test-all test-numerics fuzz lint browser docs tables table-ages package installs lock clean
 .DEFAULT_GOAL := help
 
 help: ## This list
@@ -40,6 +40,15 @@ browser:
 		{ $(CHROMIUM) || { apt-get update -qq && $(CHROMIUM); }; } >/dev/null 2>&1; } || \
 		echo "There is no Chromium: the tests of reports in a browser are skipped."
 
+docs: $(READY) ## The documentation in build/site, with strict links
+	$(BIN)/mkdocs build --strict
+
+tables: $(READY) ## Measure all tables of the docs again: hours, and the recordings; then say which are older than the code
+	$(BIN)/python scripts/tables.py make
+
+table-ages: $(READY) ## Which tables of the docs are older than the code that they measure
+	$(BIN)/python scripts/tables.py ages
+
 # The wheel with what its users get, the newest libraries; the tests with the locked ones.
 package: $(READY) ## Build wheel and sdist; without the repository, fly the demo with the one, run the other's tests
 	rm -rf dist build/wheel build/sdist
@@ -53,16 +62,17 @@ package: $(READY) ## Build wheel and sdist; without the repository, fly the demo
 	tar -xzf dist/*.tar.gz -C build/sdist --strip-components 1 --one-top-level=source
 	cd build/sdist/source && ../bin/pytest --numprocesses 2 --dist loadscope
 
+installs: OUT ?= runs/installs
 installs: $(READY) ## Fresh installs without extras and with each: size, import time, demo; wheels for ARM
 	rm -rf dist
 	$(BIN)/hatchling build --target wheel
-	$(BIN)/python scripts/installs.py dist/*.whl
+	$(BIN)/python scripts/installs.py dist/*.whl --out $(OUT)
 
 lock: ## Pin the newest versions that pyproject.toml allows in requirements.lock
 	$(PYTHON) -m venv build/lock
 	build/lock/bin/pip install --quiet uv
 	UV_CUSTOM_COMPILE_COMMAND="make lock" build/lock/bin/uv pip compile --quiet --upgrade --universal \
-		--python-version 3.11 --generate-hashes --all-extras --group dev --output-file requirements.lock pyproject.toml
+		--python-version 3.11 --generate-hashes --all-extras --group dev --group docs --output-file requirements.lock pyproject.toml
 
 clean: ## Remove .venv, caches and builds; runs stay
 	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache

@@ -13,6 +13,7 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from pages import save_table
 from rich.console import Console
 from rich.progress import track
 
@@ -93,11 +94,9 @@ def save(
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    stem.with_name(f"{stem.name}.md").write_text(table.markdown())
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         figure.savefig(stem.with_name(f"{stem.name}.png"))
-    console = Console()
-    console.print(*table.rich(console.width), table.caption, sep="\n")
+    save_table(out, stem.name, table)
     Console().print(f"{stem}.csv, .md, .png")

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 import typer
-from rich.console import Console
+from pages import save_table
 
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.study.statistics import interval
@@ -68,9 +68,7 @@ def main(
     columns = ("mode", "deciding half", "95 %", "worst", "other half", "95 %", "worst")
     caption = CAPTION.format(against=against, decide=", ".join(decide), report=", ".join(report))
     table = Table(columns, rows, caption=caption)
-    (study / "generalisation.md").write_text(table.markdown())
-    console = Console()
-    console.print(*table.rich(console.width), table.caption, sep="\n")
+    save_table(study, "generalisation", table)
 
 
 if __name__ == "__main__":

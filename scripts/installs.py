@@ -18,6 +18,9 @@ from zipfile import ZipFile
 
 import typer
 from packaging.requirements import Requirement
+from pages import save_table
+
+from fvslam_graph.evaluation.tables import Table
 
 IMPORT = "import time, fvslam_graph.pipeline; print(time.process_time())"
 DEMO_FRAMES = 10
@@ -25,14 +28,18 @@ ARM = {"platform_machine": "aarch64", "extra": ""}
 ARM_TAGS = ("manylinux_2_28_aarch64", "manylinux_2_27_aarch64", "manylinux2014_aarch64")
 
 
-def main(wheel: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="Of this package.")]) -> None:
-    """Print a table of all installs, then whether the core resolves on ARM."""
+def main(
+    wheel: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="Of this package.")],
+    out: Annotated[Path, typer.Option(help="Folder for the table.")] = Path("runs") / "installs",
+) -> None:
+    """Make a table of all installs, then say whether the core resolves on ARM."""
     metadata = Parser().parsestr(_metadata(wheel))
-    typer.echo(f"| extra | MB | import (s) | demo of {DEMO_FRAMES} frames |\n| --- | ---: | ---: | --- |")
+    rows = []
     for extra in ("", *metadata.get_all("Provides-Extra", [])):
         with tempfile.TemporaryDirectory() as folder:
             cells = _installed(f"{wheel.resolve()}{extra and f'[{extra}]'}", Path(folder))
-            typer.echo(f"| {extra or 'none'} | {' | '.join(cells)} |")
+            rows.append([extra or "none", *cells])
+    save_table(out, "installs", Table(("extra", f"demo of {DEMO_FRAMES} frames", "MB", "import (s)"), rows, words=2))
     needed = [Requirement(line) for line in metadata.get_all("Requires-Dist", [])]
     core = [f"{one.name}{one.specifier}" for one in needed if one.marker is None or one.marker.evaluate(ARM)]
     typer.echo(f"64-bit ARM: {_resolved_on_arm(core)}")
@@ -45,7 +52,7 @@ def _metadata(wheel: Path) -> str:
 
 
 def _installed(requirement: str, folder: Path) -> tuple[str, str, str]:
-    """Megabytes, seconds of CPU for the import, and how the demo ends, of an install into a fresh environment."""
+    """How the demo ends, megabytes, and seconds of CPU for the import, of an install into a fresh environment."""
     venv.create(folder, with_pip=True)
     packages = next(folder.glob("lib/python*/site-packages"))
     before = _megabytes(packages)
@@ -58,7 +65,7 @@ def _installed(requirement: str, folder: Path) -> tuple[str, str, str]:
     )
     fly: list[str | Path] = [folder / "bin/fvslam", "demo", "--frames", str(DEMO_FRAMES), "--out", folder / "demo"]
     demo = subprocess.run(fly, capture_output=True, text=True, cwd=folder)
-    return f"{size:.0f}", f"{seconds:.2f}", "runs" if demo.returncode == 0 else demo.stderr.strip()
+    return "runs" if demo.returncode == 0 else demo.stderr.strip(), f"{size:.0f}", f"{seconds:.2f}"
 
 
 def _megabytes(folder: Path) -> float:

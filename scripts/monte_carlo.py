@@ -19,12 +19,14 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from pages import save_table
 
 from fvslam_graph.core.choices import Mode
 from fvslam_graph.core.config import SlamSettings, load_config
 from fvslam_graph.evaluation.monte_carlo import pose_errors, run, run_vslam
 from fvslam_graph.evaluation.nees import average_nees, nees
 from fvslam_graph.evaluation.plots.style import RUN_COLOURS, STYLE
+from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.simulation.points import simulate_drive, simulate_flight
 
 SCENES = {"drive": simulate_drive, "flight": simulate_flight}
@@ -68,6 +70,7 @@ def main(
     import matplotlib
 
     out.mkdir(parents=True, exist_ok=True)
+    rows = []
     starts = {f"{100 * share:.0f} % wrong matches": partial(known_start, share) for share in (0.0, wrong)}
     modes = {mode.value: partial(whole_mode, mode) for mode in Mode}
     with matplotlib.rc_context(STYLE), ProcessPoolExecutor() as pool:
@@ -83,11 +86,13 @@ def main(
                 ):
                     steps, (low, high) = average_nees(values)
                     inside = 100 * np.mean((steps >= low) & (steps <= high))
+                    position = float(np.sqrt((errors**2).mean()))
                     print(
                         f"{kind}, {label}: mean NEES {values.mean():.2f}, median of a run {_median(values):.2f}, "
                         f"95 % band over {seeds} seeds [{low:.2f}, {high:.2f}], {inside:.0f} % of {frames} frames "
-                        f"inside; position off by {np.sqrt((errors**2).mean()):.3f} m (RMS)"
+                        f"inside; position off by {position:.3f} m (RMS)"
                     )
+                    rows.append([label, kind, f"{values.mean():.1f}", f"{inside:.0f}", f"{position:.3f}"])
                     axes.plot(np.arange(1, frames + 1), steps, color=colour, label=label)
                 axes.axhspan(
                     low, high, color="grey", alpha=0.25, linewidth=0, label="95 % band of consistent estimates"
@@ -97,6 +102,8 @@ def main(
             figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
             figure.savefig(out / file)
             print(out / file)
+    columns = ("estimator", "scene", "mean NEES", "frames within (%)", "RMS of the position (m)")
+    save_table(out, "monte-carlo", Table(columns, rows, words=2, keys=2))
 
 
 def _runs(

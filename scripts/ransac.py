@@ -10,6 +10,7 @@ from typing import Annotated
 
 import cv2
 import typer
+from pages import save_table
 from threadpoolctl import threadpool_limits
 
 from fvslam_graph.core.config import load_config
@@ -19,6 +20,7 @@ from fvslam_graph.core.trajectory import Trajectory
 from fvslam_graph.estimator import estimate
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import evaluate
+from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.features import ransac
 from fvslam_graph.pipeline import resolve_config
 from fvslam_graph.sequences.open import open_sequence
@@ -29,11 +31,12 @@ LIBRARIES = {"PoseLib": ransac.poselib, "USAC": None}
 def main(
     paths: Annotated[list[str], typer.Argument(help="Recordings with ground truth.")],
     seeds: Annotated[int, typer.Option(help="How many runs of each.", min=1)] = 3,
+    out: Annotated[Path, typer.Option(help="Folder for the table.")] = Path("runs") / "ransac",
 ) -> None:
-    """Print a table: APE after Sim3 (m), median and largest over the seeds, and milliseconds of CPU a frame."""
+    """Make a table: APE after Sim3 (m), median and largest over the seeds, and milliseconds of CPU a frame."""
     cv2.setNumThreads(1)
     columns = [f"{name}, {what}" for what in ("APE", "largest", "ms") for name in LIBRARIES]
-    typer.echo(f"| recording | {' | '.join(columns)} |\n| --- |{' ---: |' * len(columns)}")
+    rows = []
     for path in paths:
         sequence = open_sequence(path)
         runs: dict[str, list[tuple[float, float]]] = {name: [] for name in LIBRARIES}
@@ -46,7 +49,8 @@ def main(
             lambda run: f"{max(ape for ape, _ in run):.2g}",
             lambda run: f"{median(ms for _, ms in run):.1f}",
         ]
-        typer.echo(f"| {Path(path).name} | {' | '.join(cell(runs[name]) for cell in of for name in LIBRARIES)} |")
+        rows.append([Path(path).name, *(cell(runs[name]) for cell in of for name in LIBRARIES)])
+    save_table(out, "ransac", Table(("recording", *columns), rows))
 
 
 def _run(sequence: Sequence, seed: int) -> tuple[float, float]:
