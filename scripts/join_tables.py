@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 from pages import ROOT, marked_tables, save_table
 
-from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.evaluation.tables import Table
 
 Cells = Annotated[list[str], typer.Option("--cell", help="Column whose median is shown; several are put together.")]
@@ -31,7 +30,7 @@ def recordings(
     found = {table.name: _rows(table.markdown) for table in marked_tables(ROOT / page)}
     labels = dict(pair.split("=", 1) for pair in tables)
     if missing := set(labels) - set(found):
-        raise FvslamError(f"{page} has no table {', '.join(sorted(missing))}")
+        raise typer.BadParameter(f"{page} has no table {', '.join(sorted(missing))}")
     columns = [{next(iter(row.values())): _cell(row, cell) for row in found[table]} for table in labels]
     first = next(iter(found[next(iter(labels))][0]))
     rows = [[key, *(column.get(key, "") for column in columns)] for key in columns[0]]
@@ -50,6 +49,8 @@ def pivot(
 ) -> None:
     """Make a table with a row for each value of one column, and a column for each value of another."""
     lines = _rows(file.read_text())
+    if missing := {row, column, *cell} - set(lines[0]):
+        raise typer.BadParameter(f"{file} has no column {', '.join(sorted(missing))}")
     if where is not None:
         key, value = where.split("=", 1)
         lines = [line for line in lines if line[key] == value]
