@@ -44,10 +44,10 @@ docs: $(READY) ## The documentation in build/site, with strict links
 	$(BIN)/mkdocs build --strict
 
 tables: $(READY) ## Measure all tables of the docs again: hours, and the recordings; then say which are older than the code
-	$(BIN)/python scripts/tables.py make
+	$(BIN)/python scripts/make_tables.py make
 
 table-ages: $(READY) ## Which tables of the docs are older than the code that they measure
-	$(BIN)/python scripts/tables.py ages
+	$(BIN)/python scripts/make_tables.py ages
 
 # The wheel with what its users get, the newest libraries; the tests with the locked ones.
 package: $(READY) ## Build wheel and sdist; without the repository, fly the demo with the one, run the other's tests

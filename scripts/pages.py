@@ -96,7 +96,7 @@ def put(table: MarkedTable) -> None:
 
 
 def save_table(out: Path, name: str, table: Table) -> None:
-    """Write a table where `scripts/tables.py` looks for it, and print it."""
+    """Write a table where `scripts/make_tables.py` looks for it, and print it."""
     out.mkdir(parents=True, exist_ok=True)
     (out / f"{name}.md").write_text(table.markdown())
     console = Console()

@@ -14,8 +14,8 @@ import fvslam_graph
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "scripts"))
+import make_tables  # noqa: E402
 import pages  # noqa: E402
-import tables  # noqa: E402
 
 PAGES = pages.pages()
 SNIPPETS = [
@@ -113,10 +113,10 @@ def test_a_table_is_older_than_its_code(tmp_path):
     git("init")
     first = commit("code.py", "one")
     table = pages.MarkedTable(tmp_path / "page.md", "one.md", "", ("code.py",), first, "")
-    assert tables.age(table, tmp_path) == "as the code is"
+    assert make_tables.age(table, tmp_path) == "as the code is"
     commit("other.py", "elsewhere")
-    assert tables.age(table, tmp_path) == "as the code is"
+    assert make_tables.age(table, tmp_path) == "as the code is"
     commit("code.py", "two")
-    assert tables.age(table, tmp_path).startswith("older: 1 commits to code.py")
-    assert tables.age(replace(table, commit=""), tmp_path) == "not made yet"
-    assert "not in this repository" in tables.age(replace(table, commit="0" * 7), tmp_path)
+    assert make_tables.age(table, tmp_path).startswith("older: 1 commits to code.py")
+    assert make_tables.age(replace(table, commit=""), tmp_path) == "not made yet"
+    assert "not in this repository" in make_tables.age(replace(table, commit="0" * 7), tmp_path)

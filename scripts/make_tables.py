@@ -1,8 +1,7 @@
 """Say which tables of the docs are older than the code that they measure, and make them again.
 
-make table-ages                                    # which are older
-make tables                                        # all again: hours, and the recordings in FVSLAM_DATA
-python scripts/tables.py make installs.md          # one of them
+`make table-ages` lists how old they are. `make tables` makes all again, which takes hours and the recordings in the
+folder FVSLAM_DATA; `python scripts/make_tables.py make installs.md` makes one.
 """
 
 from __future__ import annotations
@@ -91,4 +90,4 @@ if __name__ == "__main__":
     try:
         app()
     except FvslamError as error:
-        sys.exit(f"tables: {error}")
+        sys.exit(f"make_tables: {error}")
