@@ -391,11 +391,11 @@ def table(
     layout: Annotated[str, typer.Option("--format", help="latex, md or csv.")] = "md",
 ) -> None:
     """Print one number of a study as a table for a paper: best bold, second underlined, as wide as a page at most."""
-    from fvslam_graph.study.metric_table import Layout, MetricTable
+    from fvslam_graph.study.metric_table import MetricTable, TableFormat
 
-    if layout not in list(Layout):
-        raise FvslamError(f"--format is one of {', '.join(Layout)}, not '{layout}'")
-    typer.echo(MetricTable.of(study, rows, columns, metric).text(Layout(layout)), nl=False)
+    if layout not in list(TableFormat):
+        raise FvslamError(f"--format is one of {', '.join(TableFormat)}, not '{layout}'")
+    typer.echo(MetricTable.of(study, rows, columns, metric).text(TableFormat(layout)), nl=False)
 
 
 @app.command(cls=_WithPlugins)

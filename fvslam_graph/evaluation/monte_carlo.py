@@ -26,7 +26,7 @@ from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.vo.scale import ORACLE_VARIANCE
 
 DEPTH_SIGMA = 0.05  # of the logarithm of the first landmarks' inverse depths, each on its own
-SCALE_SIGMA = 0.03  # of the logarithm of the scale that they share
+COMMON_SCALE_SIGMA = 0.03  # of the logarithm of the scale that they share
 RULE_NOISE = 0.5  # pixels
 RULE_LANDMARKS = 3000
 _RULE_SETTINGS = (
@@ -44,7 +44,7 @@ def run_vslam(
     seed: int,
     wrong: float = 0.0,
     depth_sigma: float = DEPTH_SIGMA,
-    scale_sigma: float = SCALE_SIGMA,
+    scale_sigma: float = COMMON_SCALE_SIGMA,
 ) -> Iterator[SlamEstimate]:
     """Visual SLAM on a scene, from the second frame on; the first two tell the velocity and the first depths.
 

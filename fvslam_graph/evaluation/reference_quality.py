@@ -24,7 +24,7 @@ from fvslam_graph.runs.results import Relatives
 Array = NDArray[np.float64]
 
 ORDER = 3  # of the differences; on generated flights the fourth and fifth find the same, none
-OUTLIER = 5.0  # deviations of jitter that say nothing of what is usual
+UNUSUAL = 5.0  # deviations of jitter that say nothing of what is usual
 MIN_POSES = 20  # fewer tell no noise
 MIN_TILT = np.radians(2.0)  # a bias of the estimate's direction is less
 
@@ -110,7 +110,7 @@ def _noise(reference: Array, estimate: Array) -> float:
     apart = reference - estimate
     usual = np.ones(len(reference), bool)
     for jitter in (reference, apart):
-        usual &= (np.abs(jitter) <= OUTLIER * 1.4826 * np.median(np.abs(jitter))).all(axis=1)
+        usual &= (np.abs(jitter) <= UNUSUAL * 1.4826 * np.median(np.abs(jitter))).all(axis=1)
     variance = np.mean((reference * apart)[usual]) if usual.any() else 0.0
     return float(np.sqrt(max(variance, 0.0)))
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-WINDOW = "viewer"  # in place of the name of a file
+VIEWER = "viewer"  # in place of the name of a file
 SUFFIX = ".rrd"
 
 CAMERA, IMAGE = "world/camera", "world/camera/image"
@@ -43,7 +43,7 @@ FRAME, TIME = "frame", "time"
 COLOURS = {ONLINE: "#0072B2", ELLIPSOID: "#56B4E9", SMOOTHED: "#D55E00", TRUTH: "#888888", TRACKS: "#F0E442"}
 SIGMAS_SHOWN = 2.0  # of the ellipsoids, as in the plots
 JPEG_QUALITY = 80  # percent
-SINCE_1970 = 1e8  # seconds; stamps from here on are dates
+FIRST_DATE = 1e8  # seconds; stamps from here on are dates
 SCALE_COLUMNS = ("scale", "scale_sigma", "map_scale_sigma")
 FEATURE_COLUMNS = ("tracks", "inliers", "landmarks", "measured")
 
@@ -78,7 +78,7 @@ class Viewer:
         self._recording = rerun.RecordingStream("fvslam")
         for automatic in (self._recording.set_log_time_enabled, self._recording.set_log_tick_enabled):
             automatic(False)
-        if target == WINDOW:
+        if target == VIEWER:
             self._recording.spawn(default_blueprint=_blueprint())
         else:
             self._save(Path(target).expanduser())
@@ -124,7 +124,7 @@ class Viewer:
         """
         rr, log, pose = self._rr, self._recording.log, result.pose.mean
         self._recording.set_time(FRAME, sequence=result.index)
-        when: dict[str, Any] = {"timestamp" if result.stamp > SINCE_1970 else "duration": result.stamp}
+        when: dict[str, Any] = {"timestamp" if result.stamp > FIRST_DATE else "duration": result.stamp}
         self._recording.set_time(TIME, **when)
         log(CAMERA, rr.Transform3D(translation=pose.translation(), mat3x3=pose.rotation().matrix()))
         if self._last is not None:
@@ -146,7 +146,7 @@ class Viewer:
 
     def _save(self, path: Path) -> None:
         if path.suffix != SUFFIX:
-            raise ResultsError(f"Rerun's files end with {SUFFIX}; give such a name, or '{WINDOW}', not '{path}'")
+            raise ResultsError(f"Rerun's files end with {SUFFIX}; give such a name, or '{VIEWER}', not '{path}'")
         if path.exists():
             raise ResultsError(f"{path} exists and is not overwritten; give another name, or remove it")
         try:

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 MIN_SIGMA = 0.05  # metres; a receiver errs by that much beyond what it says, by its antenna and the clock
 UP_SIGMA = 0.1  # rad, by which level ground departs from the horizon
 UNKNOWN_UP_SIGMA = 1.0  # rad, where no ground is known: cameras are level rather than upside down
-PRIOR_SIGMAS = np.repeat([1.0, 1e3], 3)  # rad, m, of the first alignment: what a straight path leaves open is held
+ALIGNMENT_SIGMAS = np.repeat([1.0, 1e3], 3)  # rad, m, of the first alignment: what a straight path leaves open is held
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Positions:
             return None
         world_T_enu = enu_T_world.inverse()
         self._update.insert(ENU, world_T_enu)
-        prior = gtsam.noiseModel.Diagonal.Sigmas(PRIOR_SIGMAS)
+        prior = gtsam.noiseModel.Diagonal.Sigmas(ALIGNMENT_SIGMAS)
         self._update.add(gtsam.PriorFactorPose3(ENU, world_T_enu, prior))
         level = gtsam.noiseModel.Isotropic.Sigma(2, self._up_sigma)
         self._update.add(gtsam.AttitudeFactorPose3(ENU, gtsam.Unit3(self._up), level, gtsam.Unit3(0.0, 0.0, 1.0)))

@@ -17,7 +17,7 @@ INFO = "run.json"
 _MAKER = "fvslam_graph"
 
 
-class Kind(StrEnum):
+class FolderKind(StrEnum):
     """The kinds of folders that are ours."""
 
     RUN = "run"
@@ -26,20 +26,20 @@ class Kind(StrEnum):
     FIGURES = "figures"
 
 
-def kind_of(folder: Path) -> Kind | None:
+def kind_of(folder: Path) -> FolderKind | None:
     """The kind of a folder of ours; None where it is not ours.
 
     Where there is no mark, as in a copy without hidden files, `run.json` says that it is a run.
     """
     mark = _read(folder / MARK)
-    if mark.get("made_by") == _MAKER and mark.get("kind") in list(Kind):
-        return Kind(mark["kind"])
+    if mark.get("made_by") == _MAKER and mark.get("kind") in list(FolderKind):
+        return FolderKind(mark["kind"])
     versions = _read(folder / INFO).get("versions")
-    return Kind.RUN if isinstance(versions, dict) and _MAKER in versions else None
+    return FolderKind.RUN if isinstance(versions, dict) and _MAKER in versions else None
 
 
 @contextmanager
-def claimed(folder: Path, kind: Kind, wait: bool = False) -> Iterator[None]:
+def claimed(folder: Path, kind: FolderKind, wait: bool = False) -> Iterator[None]:
     """Make a folder ours, and no other process's for as long as the block lasts; the same thread may claim it again.
 
     Args:
@@ -87,7 +87,7 @@ def claim_files(folder: Path, names: Iterable[str]) -> None:
                 raise ResultsError(
                     f"{folder / name} exists and was not written by fvslam; give another folder for the figures"
                 )
-        _mark(folder, Kind.FIGURES)
+        _mark(folder, FolderKind.FIGURES)
 
 
 def disown(folder: Path) -> None:
@@ -98,7 +98,7 @@ def disown(folder: Path) -> None:
         folder.rmdir()
 
 
-def _mark(folder: Path, kind: Kind) -> None:
+def _mark(folder: Path, kind: FolderKind) -> None:
     if not (folder / MARK).exists() or kind_of(folder) is None:
         (folder / MARK).write_text(json.dumps({"made_by": _MAKER, "kind": kind}) + "\n")
 

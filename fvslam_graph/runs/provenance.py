@@ -10,7 +10,7 @@ from typing import Any
 
 from fvslam_graph import __version__
 
-_LIBRARIES = {"gtsam": "gtsam", "numpy": "numpy", "opencv": "opencv-python-headless", "poselib": "poselib"}
+_RECORDED = {"gtsam": "gtsam", "numpy": "numpy", "opencv": "opencv-python-headless", "poselib": "poselib"}
 
 
 def provenance() -> dict[str, Any]:
@@ -19,7 +19,7 @@ def provenance() -> dict[str, Any]:
         "versions": {
             "fvslam_graph": __version__,
             "python": platform.python_version(),
-            **{name: _version(package) for name, package in _LIBRARIES.items()},
+            **{name: _version(package) for name, package in _RECORDED.items()},
         },
         "machine": {"platform": platform.platform(), "cores": os.cpu_count()},
     }

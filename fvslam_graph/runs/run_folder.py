@@ -36,7 +36,7 @@ from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.runs.gnss_file import read_fixes, write_fixes
 from fvslam_graph.runs.landmark_table import LANDMARK_COLUMNS, landmark_rows
-from fvslam_graph.runs.ownership import INFO, LOCK, MARK, Kind, claimed, disown, kind_of
+from fvslam_graph.runs.ownership import INFO, LOCK, MARK, FolderKind, claimed, disown, kind_of
 from fvslam_graph.runs.provenance import forget_peak_memory, peak_memory_mb, provenance, seconds_without_core
 from fvslam_graph.runs.results import Relatives, Run, ending_info
 
@@ -111,11 +111,11 @@ class RunWriter:
         self._begin, self._waited = time.perf_counter(), seconds_without_core()
         forget_peak_memory()
         with ExitStack() as stack:
-            stack.enter_context(claimed(self.folder, Kind.RUN))
+            stack.enter_context(claimed(self.folder, FolderKind.RUN))
             self._place = self.folder
             if is_finished(self.folder):
                 self._place = self.folder / UNFINISHED
-                stack.enter_context(claimed(self._place, Kind.RUN))
+                stack.enter_context(claimed(self._place, FolderKind.RUN))
             with writing(self._place):
                 _clear(self._place)
                 settings = yaml.safe_dump(self._config.model_dump(mode="json"), sort_keys=False)
@@ -238,7 +238,7 @@ def read_run(folder: Path) -> Run:
         ResultsError: The folder is not that of a run, or one of its files is damaged.
         TrajectoryError: One of its trajectories is damaged.
     """
-    if kind_of(folder) is not Kind.RUN or not (folder / INFO).is_file():
+    if kind_of(folder) is not FolderKind.RUN or not (folder / INFO).is_file():
         raise ResultsError(f"{folder} is not the folder of a run: it has no {INFO}; give the output folder of a run")
     info = _parsed(folder / INFO, _read_info)
     frames = _parsed(folder / FRAMES, _read_frames)
@@ -269,7 +269,7 @@ def read_run(folder: Path) -> Run:
 def is_finished(folder: Path) -> bool:
     """Whether it is the folder of a run that came to its end."""
     try:
-        return kind_of(folder) is Kind.RUN and _read_info(folder / INFO)["status"] == "finished"
+        return kind_of(folder) is FolderKind.RUN and _read_info(folder / INFO)["status"] == "finished"
     except (ResultsError, ValueError):
         return False
 

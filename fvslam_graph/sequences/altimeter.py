@@ -14,12 +14,12 @@ from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.sequences.ground import UAV_TILT, level_ground
 from fvslam_graph.sequences.tables import read_table, require_increasing, to_numbers
 
-COLUMNS = (["stamp", "height"], ["stamp", "height", "sigma"])
-WINDOW = 9  # readings around one that tell whether it is an outlier
-OUTLIER = 4.0  # deviations from their median
-MIN_SIGMA = 0.01  # metres; a height is known no better, since ground is not a plane
+HEADERS = (["stamp", "height"], ["stamp", "height", "sigma"])
+NEIGHBOURS = 9  # readings around one that tell whether it is an outlier
+OFF_SIGMAS = 4.0  # deviations from their median
+MIN_HEIGHT_SIGMA = 0.01  # metres; a height is known no better, since ground is not a plane
 NORMAL_MAD = 1.4826  # standard deviation of a normal distribution, in median absolute deviations
-GAP = 3.5  # usual intervals without a reading, after which heights are unknown
+LONG_GAP = 3.5  # usual intervals without a reading, after which heights are unknown
 
 
 def read_altimeter(path: Path) -> SensorSeries:
@@ -32,7 +32,7 @@ def read_altimeter(path: Path) -> SensorSeries:
         SequenceError: The file cannot be read, has other columns, or tells no heights.
     """
     header, *rows = read_table(path, ",") or [[]]
-    if header not in COLUMNS or not rows:
+    if header not in HEADERS or not rows:
         raise SequenceError(f"{path} should have a first line stamp,height or stamp,height,sigma, and rows of numbers")
     numbers = to_numbers(path, [[word or "nan" for word in row] for row in rows])
     if numbers.shape[1] != len(header):
@@ -43,9 +43,9 @@ def read_altimeter(path: Path) -> SensorSeries:
     require_increasing(path, numbers[:, 0])
     heights = numbers[:, 1]
     away, spread = _against_neighbours(heights)
-    usual = max(NORMAL_MAD * float(np.median(np.abs(away))), MIN_SIGMA)
-    sigmas = np.maximum(numbers[:, 2], MIN_SIGMA) if len(header) == 3 else np.full(len(heights), usual)
-    good = (np.abs(away) <= OUTLIER * np.maximum(spread, sigmas)) & (heights > 0)
+    usual = max(NORMAL_MAD * float(np.median(np.abs(away))), MIN_HEIGHT_SIGMA)
+    sigmas = np.maximum(numbers[:, 2], MIN_HEIGHT_SIGMA) if len(header) == 3 else np.full(len(heights), usual)
+    good = (np.abs(away) <= OFF_SIGMAS * np.maximum(spread, sigmas)) & (heights > 0)
     if 2 * good.sum() < len(good):
         raise SequenceError(f"{path}: most heights are not above zero, or far from their neighbours")
     return SensorSeries(
@@ -58,7 +58,7 @@ def _against_neighbours(heights: NDArray[np.float64]) -> tuple[NDArray[np.float6
 
     It is Hampel's filter: where the vehicle climbs, neighbours differ, and so may the reading.
     """
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(heights, WINDOW // 2, mode="reflect"), WINDOW)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(heights, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS)
     medians = np.median(windows, axis=1)
     return heights - medians, NORMAL_MAD * np.median(np.abs(windows - medians[:, None]), axis=1)
 
@@ -69,7 +69,7 @@ def with_altimeter(sequence: Sequence, readings: SensorSeries) -> Sequence:
     Raises:
         SequenceError: The altimeter has no reading during the recording.
     """
-    gap = max(MAX_READING_GAP, GAP * float(np.median(np.diff(readings.stamps))))
+    gap = max(MAX_READING_GAP, LONG_GAP * float(np.median(np.diff(readings.stamps))))
     heights: NDArray[np.float64] = readings.interpolate(sequence.stamps, gap)[:, 0]
     if not np.isfinite(heights).any():
         raise SequenceError(

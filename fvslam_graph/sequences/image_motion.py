@@ -14,7 +14,7 @@ from fvslam_graph.core.sequence import Sequence
 REDUCED_WIDTH = 320  # pixels that images are reduced to
 INTERVAL = 0.1  # seconds between the images that are compared, at least
 _POINTS, _QUALITY, _SPACING = 200, 0.01, 8
-MIN_POINTS = 20
+MIN_CORNERS = 20
 _TOLERANCE = 1.0  # pixels
 
 
@@ -59,13 +59,13 @@ def measure_image_motion(sequence: Sequence) -> ImageMotion:
 def _similarity(before: Image, after: Image, camera: Camera) -> NDArray[np.float64] | None:
     """The similarity (2, 3) about the principal point, pixels; None where too few corners follow one."""
     corners = cv2.goodFeaturesToTrack(before, _POINTS, _QUALITY, _SPACING)
-    if corners is None or len(corners) < MIN_POINTS:
+    if corners is None or len(corners) < MIN_CORNERS:
         return None
     moved, found, _ = cv2.calcOpticalFlowPyrLK(before, after, corners, None)
     good = found[:, 0] > 0
-    if good.sum() < MIN_POINTS:
+    if good.sum() < MIN_CORNERS:
         return None
     centre = np.array([camera.cx, camera.cy])
     source, target = (points[good].reshape(-1, 2) - centre for points in (corners, moved))
     similarity, inliers = cv2.estimateAffinePartial2D(source, target, ransacReprojThreshold=_TOLERANCE)
-    return None if similarity is None or inliers.sum() < MIN_POINTS else np.asarray(similarity, float)
+    return None if similarity is None or inliers.sum() < MIN_CORNERS else np.asarray(similarity, float)

@@ -17,10 +17,10 @@ from fvslam_graph.core.text_files import read_text
 from fvslam_graph.sequences.drone_record import FIELDS, sensor_series
 
 _SRT_NUMBER = r"[-+]?\d+(?:\.\d+)?"
-_TIMES = re.compile(r"^\s*(\d+):(\d\d):(\d\d)[,.](\d{3})\s*-->.*$", re.MULTILINE)
+_TIMING = re.compile(r"^\s*(\d+):(\d\d):(\d\d)[,.](\d{3})\s*-->.*$", re.MULTILINE)
 _PAIR = re.compile(rf"\b([A-Za-z_]+)\s*:\s*({_SRT_NUMBER})")
-_PLACE = re.compile(rf"\bGPS\s*\(\s*({_SRT_NUMBER})\s*,\s*({_SRT_NUMBER})\s*,\s*({_SRT_NUMBER})\s*(M?)\s*\)")
-_HEIGHT = re.compile(rf"\bH\s+({_SRT_NUMBER})\s*m\b")
+_GPS = re.compile(rf"\bGPS\s*\(\s*({_SRT_NUMBER})\s*,\s*({_SRT_NUMBER})\s*,\s*({_SRT_NUMBER})\s*(M?)\s*\)")
+_H = re.compile(rf"\bH\s+({_SRT_NUMBER})\s*m\b")
 _KEYS = {
     "height": ("rel_alt", "barometer"),
     "latitude": ("latitude",),
@@ -38,7 +38,7 @@ def read_srt(path: Path) -> tuple[SensorSeries, ...]:
     Raises:
         SequenceError: It cannot be read, or holds no telemetry.
     """
-    _, *parts = _TIMES.split(read_text(path, SequenceError))
+    _, *parts = _TIMING.split(read_text(path, SequenceError))
     cues = [parts[start : start + 5] for start in range(0, len(parts), 5)]
     stamps = np.array([3600 * int(h) + 60 * int(m) + int(s) + int(ms) / 1000 for h, m, s, ms, _ in cues], float)
     rows = [_values(text) for *_, text in cues]
@@ -51,9 +51,9 @@ def _values(text: str) -> dict[str, float]:
     """The fields that the text of one subtitle has, by their names in FIELDS."""
     pairs = {key.lower(): float(number) for key, number in _PAIR.findall(text)}
     values = {field: pairs[key] for field, keys in _KEYS.items() for key in keys if key in pairs}
-    if height := _HEIGHT.search(text):
+    if height := _H.search(text):
         values["height"] = float(height[1])
-    if place := _PLACE.search(text):
+    if place := _GPS.search(text):
         # If the third number is an altitude in metres, latitude is the first; if it counts satellites, the second.
         first, second = float(place[1]), float(place[2])
         if place[4]:

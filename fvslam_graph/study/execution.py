@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from fvslam_graph.core.errors import FvslamError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.runs.ownership import Kind, claimed, disown
+from fvslam_graph.runs.ownership import FolderKind, claimed, disown
 from fvslam_graph.study.jobs import Job, Row, cached_row, execute
 from fvslam_graph.study.process import execute_apart
 from fvslam_graph.study.sources import HeldSequence, Source, render
@@ -196,7 +196,7 @@ def _answering_for_all() -> Iterator[None]:
 @contextmanager
 def _kept_for_now(images: Path) -> Iterator[None]:
     """Rendered images are kept no longer than they are needed; those of a study that was killed are in the way."""
-    with claimed(images, Kind.IMAGES):
+    with claimed(images, FolderKind.IMAGES):
         try:
             _remove_images(images)
             yield

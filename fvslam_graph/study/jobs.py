@@ -21,7 +21,7 @@ from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.pipeline import run_sequence
-from fvslam_graph.runs.ownership import Kind, claimed
+from fvslam_graph.runs.ownership import FolderKind, claimed
 from fvslam_graph.runs.provenance import provenance
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
@@ -90,7 +90,7 @@ def execute(job: Job, folder: Path, align: Alignment, rendered: Path | None = No
     Raises:
         FvslamError: The source cannot be opened or the folder not written.
     """
-    with claimed(folder, Kind.RUN, wait=True):  # of a study that was killed, a worker may still be at it
+    with claimed(folder, FolderKind.RUN, wait=True):  # of a study that was killed, a worker may still be at it
         if job.is_reproducible and (row := cached_row(folder, align)) is not None:
             return row
         if not (job.is_reproducible and _finished(folder)):

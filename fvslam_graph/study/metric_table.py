@@ -18,16 +18,16 @@ from fvslam_graph.study.results import LABELS
 
 HIGHER_IS_BETTER = ("coverage", "tracked", "matched", "common", "associated")
 NO_BEST = ("scale", "nees", "nees_rotation", "nees_direction", "nis", "path", "frames")  # of which less is no better
-UNITS = {
+METRIC_UNITS = {
     **dict.fromkeys(("ape", "rpe", "rpe_1m", "ape_common", "rpe_common", "ape_smoothed", "path"), "m"),
     **dict.fromkeys(("t_rel", "t_rel_scaled"), "%"),
     **{"ape_rot": "deg", "r_rel": "deg/100 m"},
 }
-DIGITS = 3  # significant, of the smallest number
+SIGNIFICANT = 3  # significant, of the smallest number
 MISSING = "--"
 
 
-class Layout(StrEnum):
+class TableFormat(StrEnum):
     """What a table is written as."""
 
     LATEX = "latex"  # needs the packages booktabs, graphicx and siunitx
@@ -77,18 +77,18 @@ class MetricTable:
         values = values.reindex(index=runs[rows].unique(), columns=runs[columns].unique())
         return cls(values, metric, _caption(study, runs, rows, columns, metric))
 
-    def text(self, layout: Layout) -> str:
+    def text(self, layout: TableFormat) -> str:
         """The table as it is written."""
-        if layout is Layout.CSV:
+        if layout is TableFormat.CSV:
             return str(self.values.to_csv(lineterminator="\n"))
-        return self._latex() if layout is Layout.LATEX else self._markdown()
+        return self._latex() if layout is TableFormat.LATEX else self._markdown()
 
     @property
     def decimals(self) -> int:
-        """Behind the point, so that the smallest number has DIGITS significant ones."""
+        """Behind the point, so that the smallest number has SIGNIFICANT significant ones."""
         known = np.abs(self.values.to_numpy())
         known = known[np.isfinite(known) & (known > 0)]
-        return 0 if not len(known) else int(np.clip(DIGITS - 1 - np.floor(np.log10(known.min())), 0, 6))
+        return 0 if not len(known) else int(np.clip(SIGNIFICANT - 1 - np.floor(np.log10(known.min())), 0, 6))
 
     def ranks(self) -> pd.DataFrame:
         """1 for the best of each sequence, 2 for the second; what is printed alike is alike, and NaN has none."""
@@ -149,7 +149,7 @@ def _caption(study: Path, runs: pd.DataFrame, rows: str, columns: str, metric: s
     align = read_yaml_mapping(study / "study.yaml", StudyError).get("align", "unknown")
     done = runs[runs["status"] == "finished"]
     sources = " / ".join(sorted(set(done["scale_source"]) - {""})) or "nothing"
-    unit = f" ({UNITS[metric]})" if metric in UNITS else ""
+    unit = f" ({METRIC_UNITS[metric]})" if metric in METRIC_UNITS else ""
     which = "smoothed" if metric == "ape_smoothed" else "online"
     frames = (
         "on the frames that all methods have a pose for" if metric.endswith("_common") else "on each one's own frames"

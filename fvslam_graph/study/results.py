@@ -60,7 +60,7 @@ _SUMMARY = {  # column of the table: its name, digits, factor
     "peak_mb": ("peak MB", ".0f", 1.0),
 }
 
-_COLUMNS = (
+_MEANINGS = (
     "APE and RPE (frame to frame): RMSE of translation; smoothed: APE of the smoothed trajectory. t_rel and r_rel: "
     "KITTI's, 100-800 m, without scale correction. NEES: 6, 3 and 2 are consistent; not judged where the noise of the "
     "reference alone would double it, or where its axes are not the camera's. NIS: of V-SLAM's landmarks, 2 is "
@@ -132,7 +132,7 @@ class StudyResults:
         )
         return (
             f"{' / '.join(self.table['sequence'].unique())}. {self.circumstances} Median, and range over the seeds in "
-            f"brackets. {failed} of {len(self.table)} runs failed and have no error. {common} {_COLUMNS}"
+            f"brackets. {failed} of {len(self.table)} runs failed and have no error. {common} {_MEANINGS}"
             f"{self._sharing}."
         )
 

@@ -13,7 +13,7 @@ import yaml
 from fvslam_graph.core.errors import FvslamError, StudyError
 from fvslam_graph.core.files import file_name, write_file, writing
 from fvslam_graph.evaluation.plots.runs import plot_runs
-from fvslam_graph.runs.ownership import Kind, claimed
+from fvslam_graph.runs.ownership import FolderKind, claimed
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study.common_frames import with_common_frames, with_own_frames
@@ -28,7 +28,7 @@ from fvslam_graph.study.statistics import differences
 
 _log = logging.getLogger(__name__)
 
-_FIGURES = ("trajectory", "error", "drift", "covariance", "nees")  # of each sequence
+_SEQUENCE_FIGURES = ("trajectory", "error", "drift", "covariance", "nees")  # of each sequence
 
 WatchRows = Callable[[Iterable[tuple[int, Row]], int], Iterable[tuple[int, Row]]]
 """Takes rows as they come and how many there will be; hands them on."""
@@ -59,7 +59,7 @@ def run_study(
     """
     study = study.below(Path.cwd())
     jobs = study.jobs()
-    with claimed(out, Kind.STUDY):
+    with claimed(out, FolderKind.STUDY):
         others = list(_external(study))
         for row, _ in others:
             if row["status"] != "finished":
@@ -142,4 +142,4 @@ def _draw_trajectories(results: StudyResults, sequence: str, others: list[Run], 
     if not runs:
         return []
     folder = out / "figures" / file_name(sequence)
-    return plot_runs(runs, folder, results.align, _FIGURES, FIGURE_SUFFIXES)
+    return plot_runs(runs, folder, results.align, _SEQUENCE_FIGURES, FIGURE_SUFFIXES)

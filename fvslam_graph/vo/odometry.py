@@ -48,7 +48,7 @@ CARRIED = 0.25  # likewise, up to which the speed carries a scale over images wi
 
 
 @dataclass(frozen=True)
-class _Motion:
+class _KeyframeMotion:
     """A measured motion against the keyframe.
 
     Attributes:
@@ -178,7 +178,7 @@ class VisualOdometry:
         self._lost = LostKeyframes()
         self._set_keyframe(frame, estimate.tracks, estimate.map)
 
-    def _measure(self, frame: Frame, tracks: Tracks) -> _Motion | None:
+    def _measure(self, frame: Frame, tracks: Tracks) -> _KeyframeMotion | None:
         """The motion that the image shows, and how much parallax it has; None where nothing fits."""
         with self._stopwatch.stage("pose"):
             rotation, unexplained = fit_rotation(
@@ -188,7 +188,9 @@ class VisualOdometry:
         motion = self._estimate_motion(frame, tracks, rotation, parallax)
         return None if motion is None else replace(motion, parallax=parallax)
 
-    def _estimate_motion(self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion | None:
+    def _estimate_motion(
+        self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float
+    ) -> _KeyframeMotion | None:
         """Two views where they tell most, else the map, else what is left; None where nothing fits."""
         far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
         located = self._locate(tracks, self._map)
@@ -200,7 +202,7 @@ class VisualOdometry:
             return self._from_map(tracks, located, self._map)
         return None if far else self._rotation_only(tracks, rotation, parallax)
 
-    def _gated(self, frame: Frame, motion: _Motion) -> _Motion | None:
+    def _gated(self, frame: Frame, motion: _KeyframeMotion) -> _KeyframeMotion | None:
         """The motion with what may be wrong about it; None where the camera can hardly have moved so."""
         assert self._keyframe is not None
         pose = self._gate.apply(
@@ -239,20 +241,20 @@ class VisualOdometry:
         rotation, unexplained = fit_rotation(rays(self.camera, last), rays(self.camera, current), self.camera.fx)
         return rotation if median(unexplained) < self.settings.static_parallax else None
 
-    def _static(self, tracks: Tracks, shaken: gtsam.Rot3) -> _Motion:
+    def _static(self, tracks: Tracks, shaken: gtsam.Rot3) -> _KeyframeMotion:
         """No translation, with the uncertainty of a parallax that counts as none."""
         hidden = self.settings.static_parallax / self.camera.fx
         sigmas = np.repeat([hidden, hidden * self._typical_depth()], 3)
         step = GaussianPose(gtsam.Pose3(shaken, np.zeros(3)), np.diag(sigmas**2))
-        return _Motion(self._keyframe_T_last.compose(step), tracks, self._map)
+        return _KeyframeMotion(self._keyframe_T_last.compose(step), tracks, self._map)
 
-    def _accept_static(self, frame: Frame, motion: _Motion) -> VoEstimate:
+    def _accept_static(self, frame: Frame, motion: _KeyframeMotion) -> VoEstimate:
         """Take over that the camera stands; where it came to stand is kept, so that it does not drift."""
         self._motion_model.stop()
         self._last_stamp, self._failures = frame.stamp, 0
         return replace(self._estimate(frame, motion.keyframe_T_cur, Status.STATIC), tracks=motion.tracks)
 
-    def _from_two_views(self, frame: Frame, tracks: Tracks, located: gtsam.Pose3 | None) -> _Motion | None:
+    def _from_two_views(self, frame: Frame, tracks: Tracks, located: gtsam.Pose3 | None) -> _KeyframeMotion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
         assert self._keyframe is not None
         with self._stopwatch.stage("pose"):
@@ -277,7 +279,7 @@ class VisualOdometry:
             scale, known = self._scale.estimate(views, self._map, fallback, self._rng)
         J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
         pose, evidence = metric_pose(relative_pose, scale.length), relative_pose.evidence
-        return _Motion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence)
+        return _KeyframeMotion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence)
 
     def _locate(self, tracks: Tracks, known: MetricMap) -> gtsam.Pose3 | None:
         """Roughly where the camera is among the points of known depth."""
@@ -288,7 +290,7 @@ class VisualOdometry:
         with self._stopwatch.stage("pose"):
             return estimate_absolute_pose(points, seen.current, self.camera, self.settings, self._seed())
 
-    def _from_map(self, tracks: Tracks, located: gtsam.Pose3, known: MetricMap) -> _Motion | None:
+    def _from_map(self, tracks: Tracks, located: gtsam.Pose3, known: MetricMap) -> _KeyframeMotion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
         used = self._used(tracks)
         with self._stopwatch.stage("pose"):
@@ -306,7 +308,7 @@ class VisualOdometry:
             known = MetricMap(known.depths.fused(found[found.values > 0]), known.variance)
         # The map's scale is uncertain, and the distance travelled in it likewise.
         pose = refined.pose.with_scale_variance(known.variance)
-        return _Motion(pose, tracks, known, J_calibration=refined.J_calibration)
+        return _KeyframeMotion(pose, tracks, known, J_calibration=refined.J_calibration)
 
     def _triangulated(
         self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
@@ -315,13 +317,13 @@ class VisualOdometry:
         matched, motion = MatchedRays.of(self.camera, tracks), keyframe_T_cur
         return triangulate(tracks.ids, matched, motion.rotation(), motion.translation(), noise, covariance)
 
-    def _rotation_only(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _Motion:
+    def _rotation_only(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _KeyframeMotion:
         """Rotation alone; both it and the translation are as uncertain as the parallax that may hide in it."""
         hidden = max(parallax, self.settings.static_parallax) / ROTATION_AMBIGUITY / self.camera.fx
         covariance = np.diag(np.repeat([hidden, hidden * self._typical_depth()], 3) ** 2)
-        return _Motion(GaussianPose(gtsam.Pose3(rotation, np.zeros(3)), covariance), tracks, self._map)
+        return _KeyframeMotion(GaussianPose(gtsam.Pose3(rotation, np.zeros(3)), covariance), tracks, self._map)
 
-    def _accept(self, frame: Frame, motion: _Motion) -> VoEstimate:
+    def _accept(self, frame: Frame, motion: _KeyframeMotion) -> VoEstimate:
         """Take over a measured motion."""
         assert self._keyframe is not None
         # The mean since the keyframe: a difference of two poses that are near each other would be mostly noise.
@@ -390,7 +392,7 @@ class VisualOdometry:
                 return estimate
         return None
 
-    def _return_to(self, keyframe: LostKeyframe, frame: Frame) -> _Motion | None:
+    def _return_to(self, keyframe: LostKeyframe, frame: Frame) -> _KeyframeMotion | None:
         """The motion from another keyframe, if enough of its points are found, and most of these agree."""
         assert frame.image is not None
         with self._stopwatch.stage("association"):

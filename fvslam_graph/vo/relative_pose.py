@@ -109,7 +109,7 @@ def estimate_relative_pose(
     some = tracks[a_sample(len(tracks))]
     options = ransac_options(settings.ransac_threshold, settings, seed)
     found = relative_poses(some.keyframe, some.current, camera, options)
-    matches = _Matches(tracks, MatchedRays.of(camera, tracks), known)
+    matches = _MatchedTracks(tracks, MatchedRays.of(camera, tracks), known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
     starts: list[tuple[gtsam.Pose3, Sequence[int]]] = [(start, WIDTHS) for start in expected]
     starts += [(start, WIDTHS[FOUND:]) for start in found]
@@ -135,7 +135,7 @@ def estimate_relative_pose(
 
 
 @dataclass(frozen=True)
-class _Matches:
+class _MatchedTracks:
     """N tracks, their rays in both views, and known depths of some in the previous one."""
 
     tracks: Tracks
@@ -189,7 +189,7 @@ class _Fit:
         return bool(turned < SAME and off < 10 * SAME)
 
     def calibration(
-        self, matches: _Matches, told: NDArray[np.bool_]
+        self, matches: _MatchedTracks, told: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], CalibrationEvidence]:
         """How the pose changes with the calibration, (5, 2), and what tracks `told` (N,) say of it beside the pose."""
         distance, jacobian = self.distance[told], self.jacobian[told]
@@ -202,7 +202,7 @@ class _Fit:
         evidence = CalibrationEvidence(information / self.noise**2, gradient / self.noise**2)
         return np.asarray(J_calibration, float), evidence
 
-    def cost(self, matches: _Matches, noise: float) -> float:
+    def cost(self, matches: _MatchedTracks, noise: float) -> float:
         """Cauchy cost of the epipolar distances, and of how the depths depart from those known, up to their scale."""
         cost = float(np.log1p((self.distance / (KERNEL * noise)) ** 2).sum())
         if matches.known is None:
@@ -225,7 +225,7 @@ class _Fit:
 
 
 def _refine(
-    start: gtsam.Pose3, matches: _Matches, limit: float, widths: Sequence[int], known: Sequence[_Fit]
+    start: gtsam.Pose3, matches: _MatchedTracks, limit: float, widths: Sequence[int], known: Sequence[_Fit]
 ) -> _Fit | None:
     """The relative pose near another by the tracks that agree with it (iteratively reweighted least squares).
 

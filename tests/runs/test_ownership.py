@@ -10,7 +10,7 @@ import pytest
 
 from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.core.files import file_name, one_line, replacing, write_file
-from fvslam_graph.runs.ownership import LOCK, MARK, Kind, claim_files, claimed, disown, kind_of
+from fvslam_graph.runs.ownership import LOCK, MARK, FolderKind, claim_files, claimed, disown, kind_of
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -52,12 +52,15 @@ def test_no_command_writes_into_a_folder_that_is_not_ours(fvslam, recording, com
 
 
 def test_a_folder_is_ours_by_its_mark(tmp_path):
-    with claimed(tmp_path / "a", Kind.STUDY):
-        assert kind_of(tmp_path / "a") is Kind.STUDY
+    with claimed(tmp_path / "a", FolderKind.STUDY):
+        assert kind_of(tmp_path / "a") is FolderKind.STUDY
         (tmp_path / "a" / "results.csv").write_text("ours")
-    with claimed(tmp_path / "a", Kind.STUDY):
+    with claimed(tmp_path / "a", FolderKind.STUDY):
         pass
-    with pytest.raises(ResultsError, match="is the folder of a study, not of a run"), claimed(tmp_path / "a", Kind.RUN):
+    with (
+        pytest.raises(ResultsError, match="is the folder of a study, not of a run"),
+        claimed(tmp_path / "a", FolderKind.RUN),
+    ):
         pass
     for content in (
         "",
@@ -69,17 +72,17 @@ def test_a_folder_is_ours_by_its_mark(tmp_path):
         (tmp_path / "a" / MARK).write_text(content)
         with (
             pytest.raises(ResultsError, match="holds files that are not of a study"),
-            claimed(tmp_path / "a", Kind.STUDY),
+            claimed(tmp_path / "a", FolderKind.STUDY),
         ):
             pass
     (tmp_path / "a" / "results.csv").unlink()
-    with claimed(tmp_path / "a", Kind.STUDY):  # empty: who made it was killed before it had written the mark
-        assert kind_of(tmp_path / "a") is Kind.STUDY
+    with claimed(tmp_path / "a", FolderKind.STUDY):  # empty: who made it was killed before it had written the mark
+        assert kind_of(tmp_path / "a") is FolderKind.STUDY
 
 
 def test_the_information_of_a_run_is_a_mark_but_only_of_ours(tmp_path):
     (tmp_path / "run.json").write_text(json.dumps({"versions": {"fvslam_graph": "0.1.0"}}))
-    assert kind_of(tmp_path) is Kind.RUN
+    assert kind_of(tmp_path) is FolderKind.RUN
     for content in ({"versions": {"other": "1"}}, {"versions": 3}, []):
         (tmp_path / "run.json").write_text(json.dumps(content))
         assert kind_of(tmp_path) is None
@@ -87,16 +90,19 @@ def test_the_information_of_a_run_is_a_mark_but_only_of_ours(tmp_path):
 
 def test_a_folder_has_one_writer(tmp_path):
     script = (
-        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.runs.ownership import Kind, claimed\n"
-        "with claimed(Path(sys.argv[1]), Kind.RUN):\n    print('held', flush=True)\n    sys.stdin.read()\n"
+        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.runs.ownership import FolderKind, claimed\n"
+        "with claimed(Path(sys.argv[1]), FolderKind.RUN):\n    print('held', flush=True)\n    sys.stdin.read()\n"
     )
     command = [sys.executable, "-c", script, str(tmp_path / "run")]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout.readline() == "held\n"
-        with pytest.raises(ResultsError, match="is in use by another process"), claimed(tmp_path / "run", Kind.RUN):
+        with (
+            pytest.raises(ResultsError, match="is in use by another process"),
+            claimed(tmp_path / "run", FolderKind.RUN),
+        ):
             pass
         other.kill()
-    with claimed(tmp_path / "run", Kind.RUN), claimed(tmp_path / "run", Kind.RUN):  # the same thread, again
+    with claimed(tmp_path / "run", FolderKind.RUN), claimed(tmp_path / "run", FolderKind.RUN):  # the same thread, again
         pass
 
 
@@ -112,7 +118,7 @@ def test_figures_beside_other_files(tmp_path):
 
 def test_what_somebody_else_has_put_there_keeps_a_folder(tmp_path):
     for name in ("empty", "full"):
-        with claimed(tmp_path / name, Kind.IMAGES):
+        with claimed(tmp_path / name, FolderKind.IMAGES):
             pass
     (tmp_path / "full" / "notes.txt").write_text("mine")
     disown(tmp_path / "empty")

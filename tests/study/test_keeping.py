@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from fvslam_graph.core.errors import ResultsError, StudyError
-from fvslam_graph.runs.ownership import Kind, claimed
+from fvslam_graph.runs.ownership import FolderKind, claimed
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study import jobs as job_module
 from fvslam_graph.study import run as module
@@ -81,8 +81,8 @@ def test_a_study_in_a_folder_within_the_recording_is_gone_on_with(drive, tmp_pat
 
 def test_two_studies_at_once(tmp_path, unplotted):
     script = (
-        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.runs.ownership import Kind, claimed\n"
-        "with claimed(Path(sys.argv[1]), Kind.STUDY):\n    print('held', flush=True)\n    sys.stdin.read()\n"
+        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.runs.ownership import FolderKind, claimed\n"
+        "with claimed(Path(sys.argv[1]), FolderKind.STUDY):\n    print('held', flush=True)\n    sys.stdin.read()\n"
     )
     command = [sys.executable, "-c", script, str(tmp_path / "out")]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
@@ -170,14 +170,14 @@ def test_a_run_waits_for_whoever_is_at_it(job, tmp_path):
     one = job(path=TINY)
     folder = one.folder(tmp_path)
     script = (
-        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.runs.ownership import Kind, claimed\n"
-        "with claimed(Path(sys.argv[1]), Kind.RUN):\n    print('held', flush=True)\n    sys.stdin.read()\n"
+        "import sys\nfrom pathlib import Path\nfrom fvslam_graph.runs.ownership import FolderKind, claimed\n"
+        "with claimed(Path(sys.argv[1]), FolderKind.RUN):\n    print('held', flush=True)\n    sys.stdin.read()\n"
         "    (Path(sys.argv[1]) / 'row_sim3.json').write_text('{\"ape\": 7}')\n"
     )
     with subprocess.Popen([sys.executable, "-c", script, str(folder)], stdin=subprocess.PIPE, stdout=-1) as other:
         other.stdout.readline()
         other.stdin.close()
-        with claimed(folder, Kind.RUN, wait=True):
+        with claimed(folder, FolderKind.RUN, wait=True):
             assert job_module.cached_row(folder, "sim3") == {"ape": 7}
         assert job_module.execute(one, folder, "sim3")["ape"] == 7
 

@@ -11,7 +11,7 @@ import yaml
 
 from fvslam_graph.core.errors import StudyError
 from fvslam_graph.evaluation.alignment import Alignment
-from fvslam_graph.study.metric_table import Layout, MetricTable
+from fvslam_graph.study.metric_table import MetricTable, TableFormat
 from fvslam_graph.study.results import StudyResults
 
 MODES = ("vo", "graph", "DSO_1")
@@ -46,7 +46,7 @@ def table(study):
 
 def test_values_are_those_of_the_results(study, table, tmp_path):
     runs = pd.read_parquet(study / "results.parquet")
-    (tmp_path / "table.csv").write_text(table.text(Layout.CSV))
+    (tmp_path / "table.csv").write_text(table.text(TableFormat.CSV))
     written = pd.read_csv(tmp_path / "table.csv", index_col="mode")
     assert list(written) == SEQUENCES and list(written.index) == list(MODES)
     for mode in MODES:
@@ -65,7 +65,7 @@ def test_the_best_and_the_second_are_marked(study, turned):
         ordered = values.loc[sequence].dropna().sort_values().index
         assert [ranks.loc[sequence, mode] for mode in ordered] == [1, 2, 3][: len(ordered)]
     assert MetricTable.of(study, "mode", "sequence", "nees").ranks().isna().all().all()
-    text = table.text(Layout.MARKDOWN)
+    text = table.text(TableFormat.MARKDOWN)
     assert text.count("**") == 2 * 12 and text.count("<u>") == 12 and text.count("| -- |") == 1
     assert text.endswith(
         "ape (m), online trajectories, on each one's own frames, sim3 alignment, scale from plane: median over 105 "
@@ -75,7 +75,7 @@ def test_the_best_and_the_second_are_marked(study, turned):
 
 
 def test_latex_holds_the_same_numbers(table):
-    text = table.text(Layout.LATEX)
+    text = table.text(TableFormat.LATEX)
     lines = [line for line in text.splitlines() if line.split(" & ")[0] in ("vo", "graph", r"DSO\_1")]
     for mode, line in zip(MODES, lines, strict=True):
         found = [re.findall(r"\d+\.\d+(?=$|[ }])", cell)[-1:] for cell in line.rstrip("\\ ").split(" & ")[1:]]
@@ -92,7 +92,7 @@ def test_latex_holds_the_same_numbers(table):
 @pytest.mark.parametrize("rows", ["mode", "sequence"])
 def test_latex_takes_it_and_it_fits_the_page(study, tmp_path, rows):
     columns = "sequence" if rows == "mode" else "mode"
-    (tmp_path / "table.tex").write_text(MetricTable.of(study, rows, columns, "ape").text(Layout.LATEX))
+    (tmp_path / "table.tex").write_text(MetricTable.of(study, rows, columns, "ape").text(TableFormat.LATEX))
     packages = r"\usepackage{booktabs,graphicx,siunitx}"
     document = rf"\documentclass{{article}}{packages}\begin{{document}}\input{{table}}\ref{{tab:ape}}\end{{document}}"
     (tmp_path / "page.tex").write_text(document)

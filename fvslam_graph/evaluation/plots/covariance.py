@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SIGMAS = 3.0
+BAND_SIGMAS = 3.0
 _ELLIPSES = 8  # along a path
 _BAND = {"color": "black", "alpha": 0.15, "linewidth": 0}
 
@@ -43,14 +43,14 @@ def draw_covariance(figure: Figure, curves: Sequence[Curve], _: Trajectory | Non
         row[0].set_ylabel(f"{wrapped(curve.name, 1.1)}\nforward ({unit})")
         for axis, axes in enumerate(row[1:]):
             sigma = np.sqrt(spreads[:, axis, axis])
-            axes.fill_between(times, -SIGMAS * sigma, SIGMAS * sigma, **_BAND)
+            axes.fill_between(times, -BAND_SIGMAS * sigma, BAND_SIGMAS * sigma, **_BAND)
             axes.plot(times, offsets[:, axis], color=curve.look.colour)
             axes.axhline(0, color="black", linewidth=0.5)
             axes.sharex(row[1])
-    panels[0, 0].set_title(f"from above, {SIGMAS:g}σ ellipses")
+    panels[0, 0].set_title(f"from above, {BAND_SIGMAS:g}σ ellipses")
     panels[-1, 0].set_xlabel(f"right ({unit})")
     for axes, name in zip(panels[0, 1:], ("right", "forward", "up"), strict=True):
-        axes.set_title(f"error {name} ({unit}) in ±{SIGMAS:g}σ")
+        axes.set_title(f"error {name} ({unit}) in ±{BAND_SIGMAS:g}σ")
     for axes in panels[-1, 1:]:
         axes.set_xlabel("time (s)")
 
@@ -95,7 +95,7 @@ def _draw_ellipses(axes: Axes, curve: Curve, frames: NDArray[np.int64], spreads:
     axes.plot(*paths[1][:2], **TRUTH)
     for number in np.unique(np.linspace(0, len(frames) - 1, _ELLIPSES + 1).astype(int)[1:]):
         centre = paths[0][:2, np.searchsorted(pairs.indices, frames[number])]
-        width, height, angle = ellipse(spreads[number, :2, :2], SIGMAS)
+        width, height, angle = ellipse(spreads[number, :2, :2], BAND_SIGMAS)
         axes.add_patch(Ellipse(centre, width, height, angle=angle, fill=False, color=curve.look.colour, linewidth=0.8))
     axes.set_aspect("equal", adjustable="datalim")
 

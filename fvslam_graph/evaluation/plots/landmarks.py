@@ -32,7 +32,7 @@ OUTCOMES = {  # colour, marker, name
     "unmatched": ("#0072B2", "P", "unmatched"),
     NEW: ("#009E73", "^", "new"),
 }
-SIGMAS = chi2_gate(0.99, 2) ** 0.5  # of the ellipses in the image: 99 %, what is searched
+SEARCHED_SIGMAS = chi2_gate(0.99, 2) ** 0.5  # of the ellipses in the image: 99 %, what is searched
 _SHOWN_PERCENT = 95  # percent of the landmarks that the map shows
 
 
@@ -121,7 +121,7 @@ def _draw_image(axes: Axes, landmarks: dict[str, NDArray[Any]], size: tuple[int,
             strict=True,
         ):
             if np.isfinite(expected_u):
-                width, height, angle = ellipse(np.array([[uu, uv], [uv, vv]]), SIGMAS)
+                width, height, angle = ellipse(np.array([[uu, uv], [uv, vv]]), SEARCHED_SIGMAS)
                 axes.add_patch(Ellipse((expected_u, expected_v), width, height, angle=angle, fill=False, color=colour))
     axes.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), xticks=[], yticks=[])
     axes.set_title("ellipses: where landmarks were searched (99 %); dots: where they were found")

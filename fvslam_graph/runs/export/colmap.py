@@ -49,7 +49,7 @@ def write(path: Path, poses: ExportedPoses) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class _Landmarks:
+class _Points:
     """Landmarks of the graph and where they were seen.
 
     Attributes:
@@ -82,7 +82,7 @@ def _refined(camera: Camera, run: Run) -> Camera:
     return replace(camera, fx=fx, fy=fy, distortion=Distortion.RADTAN, coefficients=(k1, 0.0, 0.0, 0.0))
 
 
-def _landmarks(folder: Path, camera: Camera, poses: ExportedPoses) -> _Landmarks | None:
+def _landmarks(folder: Path, camera: Camera, poses: ExportedPoses) -> _Points | None:
     """What the graph has in its files; None where that is no landmarks."""
     if not (folder / VALUES).exists() or not (folder / LANDMARKS).exists():
         return None
@@ -104,7 +104,7 @@ def _landmarks(folder: Path, camera: Camera, poses: ExportedPoses) -> _Landmarks
     ids, counts = np.unique(seen.ids[np.isfinite(errors)], return_counts=True)
     kept = ids[counts >= MIN_TRACK]
     rows = np.isfinite(errors) & np.isin(seen.ids, kept)
-    return _Landmarks({n: points[n] for n in kept.tolist()}, seen.select(rows), errors[rows])
+    return _Points({n: points[n] for n in kept.tolist()}, seen.select(rows), errors[rows])
 
 
 def _camera_line(camera: Camera) -> str:
@@ -113,7 +113,7 @@ def _camera_line(camera: Camera) -> str:
     return f"1 {model} {camera.width} {camera.height} {_joined(numbers)}\n"
 
 
-def _image_lines(poses: ExportedPoses, model: _Landmarks | None) -> list[str]:
+def _image_lines(poses: ExportedPoses, model: _Points | None) -> list[str]:
     """Two lines an image: its pose and name, then pixels and numbers of the points in it."""
     lines = []
     for frame, pose in zip(poses.frames.tolist(), poses.trajectory.poses, strict=True):
@@ -131,7 +131,7 @@ def _image_lines(poses: ExportedPoses, model: _Landmarks | None) -> list[str]:
     return lines
 
 
-def _point_lines(model: _Landmarks) -> list[str]:
+def _point_lines(model: _Points) -> list[str]:
     """A line a point: position, colour, mean error, and in which images it is which of the pixels."""
     seen = model.seen
     starts = np.searchsorted(seen.frames, seen.frames)  # rows are in the order of frames

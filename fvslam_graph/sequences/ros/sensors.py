@@ -17,7 +17,7 @@ from fvslam_graph.sequences.ros.reader import stamp_of
 RANGE_TYPE = "sensor_msgs/msg/Range"
 MIN_DOWNWARD = 0.9  # of a beam's direction that points down; 26 degrees
 
-_UNKNOWN = float("nan")
+_NO_SIGMA = float("nan")
 
 
 class Reading(NamedTuple):
@@ -39,7 +39,7 @@ def _gnss(message: Any) -> Reading | None:
     if message.status.status < 0:  # no fix
         return None
     known = message.position_covariance_type > 0
-    east, north, up = np.sqrt(np.maximum(message.position_covariance[[0, 4, 8]], 0)) if known else 3 * [_UNKNOWN]
+    east, north, up = np.sqrt(np.maximum(message.position_covariance[[0, 4, 8]], 0)) if known else 3 * [_NO_SIGMA]
     position = (message.latitude, message.longitude, message.altitude)
     return Reading(stamp_of(message), position, (float(north), float(east), float(up)))
 
@@ -56,7 +56,7 @@ def _pressure(message: Any) -> Reading:
 
 
 def _altitude(message: Any) -> Reading:
-    return Reading(stamp_of(message), (_decimal(message.relative),), (_UNKNOWN,))
+    return Reading(stamp_of(message), (_decimal(message.relative),), (_NO_SIGMA,))
 
 
 def _decimal(number: float) -> float:
@@ -65,7 +65,7 @@ def _decimal(number: float) -> float:
 
 
 def _sigma(variance: float) -> float:
-    return float(np.sqrt(variance)) if variance > 0 else _UNKNOWN  # zero says that nobody knows
+    return float(np.sqrt(variance)) if variance > 0 else _NO_SIGMA  # zero says that nobody knows
 
 
 SENSOR_READERS: dict[str, tuple[SensorKind, Callable[[Any], Reading | None]]] = {
