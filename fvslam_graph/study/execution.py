@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
-import threading
+import platform
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,15 +16,12 @@ from fvslam_graph.core.errors import FvslamError, StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.runs.ownership import FolderKind, claimed, disown
 from fvslam_graph.study.jobs import Job, Row, cached_row, execute
-from fvslam_graph.study.process import execute_apart
+from fvslam_graph.study.process import Running, execute_apart
 from fvslam_graph.study.sources import HeldSequence, Source, render
 
 if TYPE_CHECKING:
     from distributed import Client
 
-# Instead of dask's own, with which every large array is fetched from the system anew: rendering takes five
-# times as long.
-WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
 SCHEDULER_TIMEOUT = "20s"  # with a scheduler that may not be there
 
 _log = logging.getLogger(__name__)
@@ -69,8 +66,11 @@ def execute_all(
         _log.warning(reason)
     sent = {number: folder for number, folder in pending.items() if number not in held}
     workers = min(workers or os.cpu_count() or 1, len(sent))
-    if sent and (scheduler is not None or workers > 1):
-        yield from _distributed(jobs, sent, align, images, workers, scheduler)
+    if sent and scheduler is not None:
+        yield from _distributed(jobs, sent, align, images, scheduler)
+        pending = {number: pending[number] for number in held}
+    elif workers > 1:
+        yield from _side_by_side(jobs, sent, align, images, workers)
         pending = {number: pending[number] for number in held}
     if pending:
         yield from _one_by_one(jobs, pending, align, images)
@@ -100,33 +100,43 @@ def _one_by_one(
                 rendered[source] = None
                 with suppress(FvslamError):  # its runs say why
                     rendered[source] = render(source, images)
-            apart = _bound_to_this_process(jobs[number]) is None
-            yield number, _attempt(jobs[number], folder, align, rendered[source], apart=apart)
+            yield number, _attempt(jobs[number], folder, align, rendered[source], True, Running())
+
+
+def _side_by_side(
+    jobs: Sequence[Job], pending: Mapping[int, Path], align: Alignment, images: Path, workers: int
+) -> Iterator[tuple[int, Row]]:
+    """As many processes as `workers`, each waited for by a thread."""
+    running = Running()
+    with _kept_for_now(images), ThreadPoolExecutor(workers) as pool:
+        rendered: dict[Source, Future[Path | None]] = {}
+        numbers: dict[Future[Row], int] = {}
+
+        def attempt(job: Job, folder: Path) -> Row:
+            with suppress(FvslamError):  # its run says why
+                return _attempt(job, folder, align, rendered[job.source].result(), False, running)
+            return _attempt(job, folder, align, None, False, running)
+
+        try:
+            for number, folder in pending.items():
+                job = jobs[number]
+                if job.source not in rendered:  # begun before the first of its runs, which wait for it
+                    rendered[job.source] = pool.submit(render, job.source, images)
+                numbers[pool.submit(attempt, job, folder)] = number
+            for future in as_completed(numbers):
+                yield numbers[future], future.result()
+        finally:  # also where nobody wants more of them
+            pool.shutdown(wait=False, cancel_futures=True)
+            running.stop()
 
 
 def _distributed(
-    jobs: Sequence[Job],
-    pending: Mapping[int, Path],
-    align: Alignment,
-    images: Path,
-    workers: int,
-    scheduler: str | None,
+    jobs: Sequence[Job], pending: Mapping[int, Path], align: Alignment, images: Path, scheduler: str
 ) -> Iterator[tuple[int, Row]]:
-    """On dask: a cluster of processes on this machine, or one that exists."""
-    import dask
-    from distributed import Client, LocalCluster, as_completed
+    """On the workers of a dask cluster that exists."""
+    import distributed
 
-    with ExitStack() as stack:
-        if scheduler is None:
-            stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT}))
-            with _answering_for_all():
-                cluster = LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
-                )
-                client = stack.enter_context(Client(stack.enter_context(cluster)))
-        else:
-            client = stack.enter_context(_connected(scheduler))
-        stack.enter_context(_kept_for_now(images))
+    with _connected(scheduler) as client, _kept_for_now(images):
         sources = dict.fromkeys(jobs[number].source for number in pending)
         rendered = {
             source: render(source, images.absolute())
@@ -137,18 +147,17 @@ def _distributed(
         # In the order of the jobs, so that a worker stays with a recording that it has opened.
         numbers = {
             client.submit(
-                _attempt,
+                _on_worker,
                 _light(jobs[number]),
                 folder.absolute(),
                 align,
                 rendered[jobs[number].source],
-                alone=False,
                 key=folder.name,
                 priority=-number,
             ): number
             for number, folder in pending.items()
         }
-        for future in as_completed(numbers):
+        for future in distributed.as_completed(numbers):
             number, error = numbers[future], future.exception()  # of a worker that died, above all
             yield number, future.result() if error is None else _failed(jobs[number], error)
 
@@ -174,26 +183,6 @@ def _connected(scheduler: str) -> Client:
 
 
 @contextmanager
-def _answering_for_all() -> Iterator[None]:
-    """Processes that begin in the block ignore Ctrl-C, which this one answers for all; SIGTERM waits for its end."""
-    if threading.current_thread() is not threading.main_thread():  # where there are no signals either
-        yield
-        return
-    stopped: list[int] = []
-    before = {
-        signal.SIGINT: signal.signal(signal.SIGINT, signal.SIG_IGN),
-        signal.SIGTERM: signal.signal(signal.SIGTERM, lambda number, _: stopped.append(number)),
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    if stopped:
-        signal.raise_signal(signal.SIGTERM)
-
-
-@contextmanager
 def _kept_for_now(images: Path) -> Iterator[None]:
     """Rendered images are kept no longer than they are needed; those of a study that was killed are in the way."""
     with claimed(images, FolderKind.IMAGES):
@@ -211,13 +200,22 @@ def _remove_images(folder: Path) -> None:
         file.unlink()
 
 
-def _attempt(
-    job: Job, folder: Path, align: Alignment, rendered: Path | None, alone: bool = True, apart: bool = True
-) -> Row:
+def _on_worker(job: Job, folder: Path, align: Alignment, rendered: Path | None) -> Row:
+    """Perhaps on another machine, where another recording or version of the code is no part of the study."""
     try:
-        if not apart:
-            return execute(job, folder, align, rendered)
-        return execute_apart(_light(job), folder, align, rendered, alone)
+        if not isinstance(job.source, HeldSequence) and job.folder(folder.parent).name != folder.name:
+            raise StudyError(f"on {platform.node()}, the recording, this package or a library of it is another one")
+    except FvslamError as error:
+        return _failed(job, error)
+    return _attempt(job, folder, align, rendered, False, Running())
+
+
+def _attempt(job: Job, folder: Path, align: Alignment, rendered: Path | None, alone: bool, running: Running) -> Row:
+    try:
+        written = rendered is not None or not isinstance(job.source, HeldSequence)
+        if written and _bound_to_this_process(job) is None:
+            return execute_apart(_light(job), folder, align, rendered, alone, running)
+        return execute(job, folder, align, rendered)
     except Exception as error:  # one run that fails must not end the study
         return _failed(job, error)
 

@@ -60,7 +60,12 @@ class Job:
         Raises:
             FvslamError: The source cannot be opened.
         """
-        depends_on: list[Any] = [self.source.label, fingerprint(self.source), _code(), self.config.model_dump_json()]
+        depends_on: list[Any] = [
+            self.source.label,
+            fingerprint(self.source),
+            code_version(),
+            self.config.model_dump_json(),
+        ]
         depends_on += [self.config.origins, self.method and self.method.origin]
         digest = hashlib.blake2b(json.dumps(depends_on).encode(), digest_size=8).hexdigest()
         parts = (self.source.label, self.config.mode, self.config.preset, self.variant, self.config.seed)
@@ -222,6 +227,6 @@ def _finished(folder: Path) -> bool:
         return False
 
 
-def _code() -> list[Any]:
+def code_version() -> list[Any]:
     """The version of everything that computes: libraries by their number, this package by its source."""
     return [source_hash("fvslam_graph"), provenance()["versions"]]

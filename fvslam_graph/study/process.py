@@ -9,8 +9,9 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
-from typing import NoReturn
+from typing import IO, NoReturn
 
 from fvslam_graph.core.errors import StudyError
 from fvslam_graph.evaluation.alignment import Alignment
@@ -19,26 +20,66 @@ from fvslam_graph.study.jobs import Job, Row, execute
 _COMMAND = f"from {__name__} import main; main()"
 
 
-def execute_apart(job: Job, folder: Path, align: Alignment, rendered: Path | None, alone: bool) -> Row:
+# One thread for each run, where as many runs as cores go on at once.
+_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+class Running:
+    """The processes of runs that go on, in whatever threads they are waited for."""
+
+    def __init__(self) -> None:
+        self._lock, self._inputs, self._stopped = threading.Lock(), set[IO[bytes]](), False
+
+    def add(self, input: IO[bytes]) -> None:
+        """Take in a process by its standard input, whose end interrupts it."""
+        with self._lock:
+            self._inputs.add(input)
+            if self._stopped:
+                input.close()
+
+    def remove(self, input: IO[bytes]) -> None:
+        """It has ended, or is to end."""
+        with self._lock:
+            self._inputs.discard(input)
+            input.close()
+
+    def stop(self) -> None:
+        """Interrupt all of them, and those that would begin later."""
+        with self._lock:
+            self._stopped = True
+            for input in self._inputs:
+                input.close()
+
+
+def execute_apart(
+    job: Job, folder: Path, align: Alignment, rendered: Path | None, alone: bool, running: Running
+) -> Row:
     """The row of `execute`, done in another process, which ends with this one.
 
     Args:
         job, folder, align, rendered: As there.
         alone: Whether no other run goes on, so that it may use all cores.
+        running: By which it can be interrupted from another thread.
 
     Raises:
         StudyError: The run failed, or its process died.
     """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    environment |= {} if alone else _ONE_THREAD
     command = [sys.executable, "-c", _COMMAND]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as process:
+    # In a session of its own, where Ctrl-C does not reach it: this process tells it.
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, start_new_session=True
+    ) as process:
         assert process.stdin is not None and process.stdout is not None
         try:
-            process.stdin.write(pickle.dumps((job, folder, align, rendered, alone)))
-            process.stdin.flush()
+            running.add(process.stdin)
+            with suppress(BrokenPipeError, ValueError):  # it has died, or is to be interrupted
+                process.stdin.write(pickle.dumps((job, folder, align, rendered, alone)))
+                process.stdin.flush()
             answer = process.stdout.read()
         finally:
-            process.stdin.close()  # which interrupts a run that goes on
+            running.remove(process.stdin)
             process.wait()
     outcome = pickle.loads(answer) if answer else f"its process ended with code {process.returncode}"
     if isinstance(outcome, str):
@@ -51,9 +92,11 @@ def main() -> NoReturn:
     """Do a run that comes in through the standard input, and answer with its row, or the reason why there is none."""
     answer = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print is no part of it
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the one that waits tells this one
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    job, folder, align, rendered, alone = pickle.load(sys.stdin.buffer)
+    try:
+        job, folder, align, rendered, alone = pickle.load(sys.stdin.buffer)
+    except EOFError:  # interrupted before it has begun
+        os._exit(130)
     threading.Thread(target=_interrupt_at_the_end, daemon=True).start()
     try:
         answer.write(pickle.dumps(_outcome(job, folder, align, rendered, alone)))

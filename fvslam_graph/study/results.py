@@ -66,6 +66,7 @@ _MEANINGS = (
     "reference alone would double it, or where its axes are not the camera's. NIS: of V-SLAM's landmarks, 2 is "
     "consistent. poses: those with ground truth. ms/frame: mean without reading images"
 )
+RESULT_FILES = ("results.csv", "results.parquet", "costs.csv", "summary.md", "summary.tex")
 UNDISTURBED = 0.02  # share of the time for which a process may wait for a core
 _NEES_PARTS = {"nees": "pose", "nees_rotation": "rotation", "nees_direction": "direction"}
 
@@ -180,7 +181,7 @@ class StudyResults:
         return Table(list(rows), cells, 6, keys=4)
 
     def write(self, folder: Path) -> None:
-        """Write results.csv, results.parquet (columns RESULTS), costs.csv, summary.md and summary.tex.
+        """Write RESULT_FILES; results.csv and results.parquet have the columns RESULTS.
 
         Raises:
             ResultsError: The folder cannot be written.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -20,14 +22,15 @@ from fvslam_graph.study.common_frames import with_common_frames, with_own_frames
 from fvslam_graph.study.execution import execute_all
 from fvslam_graph.study.external import external_row
 from fvslam_graph.study.figures import FIGURE_SUFFIXES, draw_study
-from fvslam_graph.study.jobs import Row
+from fvslam_graph.study.jobs import Row, code_version
 from fvslam_graph.study.report import write_report
-from fvslam_graph.study.results import StudyResults
+from fvslam_graph.study.results import RESULT_FILES, StudyResults
 from fvslam_graph.study.spec import Study
 from fvslam_graph.study.statistics import differences
 
 _log = logging.getLogger(__name__)
 
+DECLARATION, REPORT = "study.yaml", "report.html"
 _SEQUENCE_FIGURES = ("trajectory", "error", "drift", "covariance", "nees")  # of each sequence
 
 WatchRows = Callable[[Iterable[tuple[int, Row]], int], Iterable[tuple[int, Row]]]
@@ -68,6 +71,8 @@ def run_study(
         ordered = [rows[number] for number in range(len(jobs))]
         results = StudyResults.of(_on_common_frames(study, ordered, others, out), study.align)
         _require_no_loss(results, out)
+        if _is_written(study, results, out):
+            return results
         found = differences(results)
         with writing(out):
             figures = draw_study(results, found, out / "figures")
@@ -75,10 +80,28 @@ def run_study(
                 source.label: _draw_trajectories(results, source.label, [run for _, run in others if run], out)
                 for source in study.sequences
             }
-            write_report(study, results, found, figures, trajectories, out / "report.html")
-            write_file(out / "study.yaml", yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False))
+            write_report(study, results, found, figures, trajectories, out / REPORT)
         results.write(out)
+        with writing(out):
+            write_file(out / DECLARATION, _declaration(study) + _of_report(study, results, out))
     return results
+
+
+def _declaration(study: Study) -> str:
+    return yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False)
+
+
+def _of_report(study: Study, results: StudyResults, out: Path) -> str:
+    """A last line of the declaration, by which a report with nothing new in it is not made again."""
+    figures = sorted(str(file.relative_to(out)) for file in (out / "figures").rglob("*.*"))
+    depends_on = [code_version(), _declaration(study), results.table.to_csv(), figures]
+    return f"# report: {hashlib.blake2b(json.dumps(depends_on).encode(), digest_size=16).hexdigest()}\n"
+
+
+def _is_written(study: Study, results: StudyResults, out: Path) -> bool:
+    """Whether all that a study leaves is there, of just these results."""
+    there = all((out / name).is_file() for name in (REPORT, DECLARATION, *RESULT_FILES))
+    return there and (out / DECLARATION).read_text().endswith(_of_report(study, results, out))
 
 
 def _on_common_frames(

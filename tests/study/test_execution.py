@@ -1,17 +1,20 @@
 """Many runs at once are the same as one after another, and none is lost or done twice."""
 
+import shutil
 import subprocess
 import sys
 import textwrap
 
 import pytest
 
+from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import StudyError
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study import execution
 from fvslam_graph.study.execution import execute_all
-from fvslam_graph.study.jobs import cached_row
+from fvslam_graph.study.jobs import Job, cached_row
 from fvslam_graph.study.results import COSTS, RESULTS, StudyResults
+from fvslam_graph.study.sources import Source, fingerprint
 
 SIM3 = Alignment.SIM3
 
@@ -110,3 +113,15 @@ def test_an_address_that_is_none(jobs, tmp_path, address):
     with pytest.raises(StudyError, match=f"no dask scheduler answers at '{address}'; start one") as caught:
         dict(execute_all(jobs[:1], tmp_path, SIM3, scheduler=address))
     assert "\n" not in str(caught.value)
+
+
+def test_a_worker_with_another_recording_does_not_run_it(tmp_path, drive, monkeypatch):
+    """Or with another version of a library, which counts likewise."""
+    recording = shutil.copytree(drive, tmp_path / "drive")
+    job = Job(Source(path=str(recording)), load_config())
+    folder = job.folder(tmp_path / "runs")
+    assert execution._on_worker(job, folder, SIM3, None)["status"] == "finished"
+    (recording / "camera.yaml").touch()
+    fingerprint.cache_clear()
+    row = execution._on_worker(job, folder, SIM3, None)
+    assert "the recording, this package or a library of it is another one" in row["status"]

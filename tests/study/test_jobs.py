@@ -70,7 +70,7 @@ def test_the_folder_depends_on_input_settings_and_version(job, drive, tmp_path, 
     fingerprint.cache_clear()
     changed = job(path=str(recording)).folder(tmp_path)
     assert changed != first
-    monkeypatch.setattr(job_module, "_code", lambda: ["another version"])
+    monkeypatch.setattr(job_module, "code_version", lambda: ["another version"])
     assert job(path=str(recording)).folder(tmp_path) not in (first, changed)
 
 

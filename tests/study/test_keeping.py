@@ -248,3 +248,16 @@ def undisturbed(tmp_path_factory):
         patch.setattr(module, "_draw_trajectories", lambda *arguments: [])
         run_study(load_study(folder / "study.yaml"), folder / "out", 1)
     return (folder / "out" / "results.csv").read_bytes()
+
+
+def test_a_report_of_the_same_results_is_not_made_again(drive, tmp_path, monkeypatch, unplotted):
+    drawn = []
+    monkeypatch.setattr(module, "draw_study", lambda *arguments: drawn.append(1) or [])
+    declared = study(sequences=[str(drive)])
+    tables = [run_study(declared, tmp_path, 1).table for _ in range(2)]
+    pd.testing.assert_frame_equal(*tables)
+    assert len(drawn) == 1
+    (tmp_path / "report.html").unlink()
+    run_study(declared, tmp_path, 1)
+    run_study(declared.model_copy(update={"name": "another title"}), tmp_path, 1)
+    assert len(drawn) == 3 and (tmp_path / "report.html").is_file()
