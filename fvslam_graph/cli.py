@@ -342,6 +342,17 @@ def compare(
             metavar="NAME=FILE",
         ),
     ] = None,
+    system: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Another program to run: a command with {images}, {times}, {camera}, for which paths are put in, that "
+            "writes a TUM file to {out}. Repeatable.",
+            metavar="NAME=COMMAND",
+        ),
+    ] = None,
+    system_limit: Annotated[
+        float, typer.Option(help="After which such a program is killed.", metavar="SECONDS")
+    ] = 3600.0,
     align: Align = Alignment.SIM3,
     out: Annotated[Path | None, typer.Option(help="Folder; runs/comparison-on-... if not given.")] = None,
     workers: Annotated[int, typer.Option(help="Runs at once; with 1, times are undisturbed.", min=1)] = 1,
@@ -353,6 +364,7 @@ def compare(
     from fvslam_graph.study.spec import comparison, default_folder
 
     files = dict(_pair(text, "--external", "NAME=FILE") for text in external or [])
+    systems = dict(_pair(text, "--system", "NAME='command {images} {out}'") for text in system or [])
     values = dict(_pair(text, "--set", "group.name=value") for text in settings or [])
     study = comparison(
         Source(path=path, topic=topic),
@@ -363,6 +375,8 @@ def compare(
             name: parse_yaml(value, f"the value of '{name}={value}'", ConfigError) for name, value in values.items()
         },
         external=files,
+        systems=systems,
+        system_limit=system_limit,
         align=align,
     )
     _run_study(study, out or default_folder(study), workers)

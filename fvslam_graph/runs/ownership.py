@@ -24,6 +24,7 @@ class Kind(StrEnum):
     STUDY = "study"
     IMAGES = "set of rendered images"
     FIGURES = "figures"
+    SYSTEM = "run of another system"
 
 
 def kind_of(folder: Path) -> Kind | None:
