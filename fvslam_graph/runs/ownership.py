@@ -25,6 +25,7 @@ class Kind(StrEnum):
     IMAGES = "set of rendered images"
     FIGURES = "figures"
     SYSTEM = "run of another system"
+    DATASET = "published data set"
 
 
 def kind_of(folder: Path) -> Kind | None:
