@@ -7,9 +7,10 @@ import logging
 from pathlib import Path
 from typing import Protocol
 
+from fvslam_graph.core.errors import DatasetError
 from fvslam_graph.core.extras import require
 from fvslam_graph.core.files import write_json, writing
-from fvslam_graph.datasets.registry import Archive, Dataset, DatasetError
+from fvslam_graph.datasets.registry import Archive, Dataset
 from fvslam_graph.datasets.unpack import unpack
 from fvslam_graph.runs.ownership import Kind, claimed
 
@@ -18,8 +19,6 @@ DOWNLOADS = ".downloads"
 TIMEOUT = 30.0  # seconds without an answer
 _CHUNK = 2**14  # bytes
 _UNSATISFIABLE_RANGE = 416  # HTTP: nothing is left to be sent
-
-_log = logging.getLogger(__name__)
 
 
 class Bar(Protocol):

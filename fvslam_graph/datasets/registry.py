@@ -7,14 +7,10 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from fvslam_graph.core.errors import FvslamError
+from fvslam_graph.core.errors import DatasetError
 from fvslam_graph.core.yaml_files import read_yaml_mapping
 
 _FILE = Path(__file__).with_name("published.yaml")
-
-
-class DatasetError(FvslamError):
-    """A published recording that is unknown, or does not come as it should."""
 
 
 class Archive(BaseModel):

@@ -9,7 +9,7 @@ import zipfile
 import zlib
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from fvslam_graph.datasets.registry import DatasetError
+from fvslam_graph.core.errors import DatasetError
 
 STAGING = ".unpacking"
 _CHUNK = 2**20  # bytes

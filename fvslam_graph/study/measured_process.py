@@ -89,15 +89,18 @@ class _Family:
         self.peak = 0
         self._pid = pid
         self._gone = psutil.Error
-        self._members: set[psutil.Process] = set()
+        self._members: list[psutil.Process] = []
         with suppress(psutil.Error):
-            self._members.add(psutil.Process(pid))
+            self._members.append(psutil.Process(pid))
 
     def look(self) -> None:
         """See who belongs to it, and how much memory they have."""
-        for member in list(self._members):
-            with suppress(self._gone):
-                self._members.update(member.children(recursive=True))
+        found: dict[psutil.Process, None] = {}
+        for member in self._members:  # of the first one nearly all descend: the others are looked at where they do not
+            if member not in found:
+                with suppress(self._gone):
+                    found |= dict.fromkeys([member, *member.children(recursive=True)])
+        self._members = list(found)
         memory = 0
         for member in self._members:
             with suppress(self._gone):

@@ -142,9 +142,10 @@ def _run(system: System, given: SystemInput, place: Path, limit: float) -> Usage
 def _judged(name: str, place: Path, sequence: Sequence, align: Alignment, usage: Usage) -> tuple[Row, Run | None]:
     """The row of a program that came to its end, kept where its trajectory is of use."""
     row, run = external_row(name, str(place / TRAJECTORY), sequence, align)
-    if run is None:
-        return row, None
     with claimed(place, Kind.SYSTEM), writing(place):
+        if run is None:
+            (place / USAGE).unlink(missing_ok=True)
+            return row, None
         write_json(place / USAGE, asdict(usage))
     return row | {"cpu_s": usage.cpu, "wall_s": usage.wall, "peak_mb": usage.peak_mb}, run
 

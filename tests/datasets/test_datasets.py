@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from fvslam_graph.core.errors import ResultsError
+from fvslam_graph.core.errors import DatasetError, ResultsError
 from fvslam_graph.datasets import registry
 from fvslam_graph.datasets.download import CHECKSUMS, DOWNLOADS, get_dataset
-from fvslam_graph.datasets.registry import Archive, Dataset, DatasetError, find_dataset, published
+from fvslam_graph.datasets.registry import Archive, Dataset, find_dataset, published
 from fvslam_graph.datasets.unpack import unpack
 from fvslam_graph.sequences.open import open_sequence
 
