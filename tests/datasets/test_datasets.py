@@ -112,6 +112,30 @@ def test_all_had_come_when_it_was_stopped(server, archive, tmp_path):
     assert server.asked[1:] == [f"bytes={len(content)}-"]
 
 
+class Interrupting:
+    """A bar at which Ctrl-C is hit after the first piece."""
+
+    total = 0
+
+    def update(self, _):
+        raise KeyboardInterrupt
+
+
+def test_ctrl_c(server, archive, tmp_path, monkeypatch):
+    """While it is downloaded, what has come is kept; while it is unpacked, all of it."""
+    server.files["/drive.zip"] = archive("zip")
+    known = dataset(server, "drive.zip")
+    with pytest.raises(KeyboardInterrupt):
+        get_dataset(known, tmp_path / "data", Interrupting())
+    come = (tmp_path / "data" / DOWNLOADS / "drive.zip.part").stat().st_size
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(zipfile.ZipFile, "extractall", Interrupting().update)
+        get_dataset(known, tmp_path / "data")
+    assert not (tmp_path / "data" / "drive").exists()
+    assert len(open_sequence(get_dataset(known, tmp_path / "data"))) == 12
+    assert come > 0 and server.asked == [None, f"bytes={come}-"]
+
+
 def test_a_wrong_checksum(server, archive, tmp_path):
     content = server.files["/drive.zip"] = archive("zip")
     out = tmp_path / "data"

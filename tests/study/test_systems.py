@@ -1,12 +1,14 @@
 """Other programs are run, measured, ended, and stand beside ours; what they do wrong is a row."""
 
+import os
 import re
+import select
 import shlex
 import signal
 import subprocess
 import sys
 import textwrap
-import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ import psutil
 import pytest
 import yaml
 
+import fvslam_graph
 from fvslam_graph.core.errors import StudyError
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.evaluation.alignment import Alignment
@@ -147,6 +150,34 @@ def test_what_it_is_given(drive, tmp_path, program):
     assert copied.notes[0].startswith("times.csv is missing, the rate is 10 Hz")
 
 
+ESTIMATOR = """
+    import sys
+    from pathlib import Path
+    import cv2
+    import fvslam_graph
+    from fvslam_graph.core.trajectory import Trajectory
+    from fvslam_graph.sequences.calibration import read_calibration
+    images, times, camera, out = map(Path, sys.argv[1:])
+    estimator = fvslam_graph.Estimator(read_calibration(camera).camera, mode="vo")
+    stamps = [float(line) for line in times.read_text().split()]
+    files = sorted(images.iterdir())
+    poses = [estimator.step(cv2.imread(str(f), 0), stamp).pose.mean for f, stamp in zip(files, stamps, strict=True)]
+    Trajectory(stamps, tuple(poses)).write_tum(out)
+"""
+
+
+def test_our_own_estimator_as_a_program_has_the_same_poses(drive, tmp_path, program):
+    """So that images, times and camera are what our modes see."""
+    sequence = replace(open_sequence(drive), ground=None)
+    command = program(ESTIMATOR, "{images} {times} {camera} {out}")
+    systems = {"ours": System(command=command)}
+    [(row, run)] = run_systems([HeldSequence.of(sequence)], systems, 60, Alignment.SIM3, tmp_path / "out")
+    assert row["status"] == "finished"
+    ours = fvslam_graph.run(sequence, mode="vo")
+    np.testing.assert_allclose(run.online.matrices, ours.online.matrices, atol=1e-6)
+    assert run.online.stamps.tolist() == sequence.stamps.tolist()
+
+
 @pytest.mark.parametrize(
     ("source", "why"),
     [
@@ -197,16 +228,18 @@ def test_it_is_killed_at_the_limit_with_its_children(drive, tmp_path, monkeypatc
 
 def test_ctrl_c_ends_it(drive, tmp_path, program):
     command = program(textwrap.dedent(CHILD) + "time.sleep(600)")
+    os.mkfifo("child.txt")
+    pipe = os.open("child.txt", os.O_RDWR)
     compare = [sys.executable, "-m", "fvslam_graph", "compare", drive, "--modes", "vo", "--seeds", "1", "--out", "out"]
     with subprocess.Popen([*compare, "--system", f"slow={command}"], stderr=subprocess.PIPE, text=True) as fvslam:
-        marker = tmp_path / "child.txt"
-        while not (marker.exists() and marker.read_text()) and fvslam.poll() is None:
-            time.sleep(0.05)
+        begun = select.select([pipe], [], [], 300)[0]
         fvslam.send_signal(signal.SIGINT)
         error = fvslam.communicate()[1]
+    assert begun, error
     assert fvslam.returncode == 130, error
     assert "the same command goes on from there" in error and "Traceback" not in error
-    assert not psutil.pid_exists(int(marker.read_text()))
+    assert not psutil.pid_exists(int(os.read(pipe, 20)))
+    os.close(pipe)
     assert not list(Path("out/systems").glob("*/usage.json")) and not Path("out/systems/input").exists()
 
 
