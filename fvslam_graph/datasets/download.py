@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from fvslam_graph.core.errors import DatasetError
 from fvslam_graph.core.extras import require
@@ -89,6 +89,7 @@ def _download(archive: Archive, file: Path, sha256: str | None, bar: Bar | None)
     def resume(url: str, output: str, _: object) -> None:
         _continue(url, part, bar)
         part.replace(output)
+        part.with_name(f"{part.name}.version").unlink(missing_ok=True)
 
     pooch.get_logger().setLevel(logging.WARNING)
     try:
@@ -109,21 +110,30 @@ def _download(archive: Archive, file: Path, sha256: str | None, bar: Bar | None)
 
 
 def _continue(url: str, part: Path, bar: Bar | None) -> None:
-    """Download what a file lacks, or all of it where the server cannot send a part."""
+    """Download what a file lacks; all of it where the server cannot send a part, or has another file by now."""
     import pooch
 
+    version = part.with_name(f"{part.name}.version")  # the server's name for it
     with part.open("ab") as file:
         begin = file.tell()
+        headers = {"Accept-Encoding": "identity"}
+        if begin:
+            headers["Range"] = f"bytes={begin}-"
+        if begin and version.is_file():
+            headers["If-Range"] = version.read_text()
 
-        def begin_anew(response: object, *_: object, **__: object) -> None:
-            if getattr(response, "status_code", None) == 200:  # all of it, not a part
+        def begin_anew(response: Any, *_: object, **__: object) -> None:
+            if response.status_code == 200:  # all of it, not a part
                 file.truncate(0)
+                version.unlink(missing_ok=True)
+                if (etag := response.headers.get("ETag", "W/")).startswith('"'):  # others do not tell bytes apart
+                    version.write_text(etag)
 
         downloader = pooch.HTTPDownloader(
             progressbar=bar or False,
             chunk_size=_CHUNK,
             timeout=TIMEOUT,
-            headers={"Accept-Encoding": "identity"} | ({"Range": f"bytes={begin}-"} if begin else {}),
+            headers=headers,
             hooks={"response": begin_anew},
         )
         try:

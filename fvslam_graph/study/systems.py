@@ -128,8 +128,8 @@ def _run(system: System, given: SystemInput, place: Path, limit: float) -> Usage
             usage = run_measured(
                 system.arguments(given, place / TRAJECTORY), Path(system.folder), limit, place / STDOUT, place / STDERR
             )
-        except OSError as error:
-            raise StudyError(f"it cannot be begun: {error.strerror or error} ({error.filename})") from None
+        except (OSError, ValueError) as error:
+            raise StudyError(f"it cannot be begun: {error}") from None
         if usage.code is None:
             raise StudyError(f"it was killed after {limit:g} s, the limit for other systems")
         if usage.code != 0:

@@ -38,11 +38,14 @@ class Handler(BaseHTTPRequestHandler):
         if (content := self.server.files.get(self.path)) is None:
             self.send_error(404)
             return
-        begin = int(re.fullmatch(r"bytes=(\d+)-", wanted)[1]) if wanted and self.server.ranges else 0
+        etag = f'"{hashlib.sha256(content).hexdigest()}"'
+        partly = wanted and self.server.ranges and self.headers.get("If-Range", etag) == etag
+        begin = int(re.fullmatch(r"bytes=(\d+)-", wanted)[1]) if partly else 0
         if begin and begin >= len(content):
             self.send_error(416)
             return
         self.send_response(206 if begin else 200)
+        self.send_header("ETag", etag)
         self.send_header("Content-Length", str(len(content) - begin))
         self.end_headers()
         self.wfile.write(content[begin : None if self.server.limit is None else begin + self.server.limit])
@@ -99,6 +102,18 @@ def test_an_interrupted_download_goes_on(server, archive, tmp_path, ranges):
     server.limit = None
     assert len(open_sequence(get_dataset(known, tmp_path / "data"))) == 12
     assert server.asked == [None, f"bytes={come}-"]
+
+
+def test_another_file_by_now(server, archive, tmp_path):
+    """Nothing is put together of two files, also where no checksum tells and the archive has none either."""
+    content = server.files["/drive.tar"] = archive("tar")
+    server.limit = len(content) // 3
+    with pytest.raises(DatasetError):
+        get_dataset(dataset(server, "drive.tar"), tmp_path / "data")
+    server.limit, server.files["/drive.tar"] = None, content.replace(b"image_width: 320", b"image_width: 321")
+    path = get_dataset(dataset(server, "drive.tar"), tmp_path / "data")
+    assert "image_width: 321" in (path / "camera.yaml").read_text()
+    assert not list((path.parent / DOWNLOADS).iterdir())
 
 
 def test_all_had_come_when_it_was_stopped(server, archive, tmp_path):

@@ -195,7 +195,9 @@ def test_a_failure_is_a_row(drive, tmp_path, program, source, why):
 
 def test_what_cannot_be_begun_or_opened(drive, tmp_path):
     [row] = rows(drive, tmp_path / "out", absent="no-such-program {images} {out}")
-    assert row["status"] == "failed: it cannot be begun: No such file or directory (no-such-program)"
+    assert row["status"] == "failed: it cannot be begun: [Errno 2] No such file or directory: 'no-such-program'"
+    [row] = rows(drive, tmp_path / "out", odd="no\0thing {images} {out}")
+    assert row["status"] == "failed: it cannot be begun: embedded null byte"
     [row] = rows(tmp_path / "nothing", tmp_path / "out", absent="true {images} {out}")
     assert row["status"].startswith("failed: ") and "nothing" in row["status"]
 
