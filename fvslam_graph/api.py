@@ -255,7 +255,9 @@ def compare(
         workers: Processes at once; with several, times are those of runs that share the machine.
         options: preset ("paper" or "tuned"); settings, what differs from the preset, where a list of values makes a
             variant of each; external, trajectory files (see `fvslam_graph.study.external.external_run`) or functions
-            by a name of their own; align ("none", "origin", "se3" or "sim3", by default the last).
+            by a name of their own; systems, commands of other programs by their name, such as
+            "orbslam3 {images} {times} {camera} {out}" (see `fvslam_graph.study.systems.System`); system_limit, seconds
+            after which one is killed; align ("none", "origin", "se3" or "sim3", by default the last).
 
     Returns:
         `table` is a pandas DataFrame with a row for each run, `summary()` the table of medians.

@@ -40,6 +40,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+data_app = typer.Typer(no_args_is_help=True, help="Published recordings: which there are, and to bring them here.")
+app.add_typer(data_app, name="data")
+
 WIDE = 240  # characters of a line that is not broken
 MAX_ROWS = 12  # of a table of which all columns are shown in the terminal
 
@@ -342,6 +345,17 @@ def compare(
             metavar="NAME=FILE",
         ),
     ] = None,
+    system: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Another program to run: a command with {images}, {times}, {camera}, for which paths are put in, that "
+            "writes a TUM file to {out}. Repeatable.",
+            metavar="NAME=COMMAND",
+        ),
+    ] = None,
+    system_limit: Annotated[
+        float, typer.Option(help="After which such a program is killed.", metavar="SECONDS")
+    ] = 3600.0,
     align: Align = Alignment.SIM3,
     out: Annotated[Path | None, typer.Option(help="Folder; runs/comparison-on-... if not given.")] = None,
     workers: Annotated[int, typer.Option(help="Runs at once; with 1, times are undisturbed.", min=1)] = 1,
@@ -353,6 +367,7 @@ def compare(
     from fvslam_graph.study.spec import comparison, default_folder
 
     files = dict(_pair(text, "--external", "NAME=FILE") for text in external or [])
+    systems = dict(_pair(text, "--system", "NAME='command {images} {out}'") for text in system or [])
     values = dict(_pair(text, "--set", "group.name=value") for text in settings or [])
     study = comparison(
         Source(path=path, topic=topic),
@@ -363,6 +378,8 @@ def compare(
             name: parse_yaml(value, f"the value of '{name}={value}'", ConfigError) for name, value in values.items()
         },
         external=files,
+        systems=systems,
+        system_limit=system_limit,
         align=align,
     )
     _run_study(study, out or default_folder(study), workers)
@@ -426,6 +443,35 @@ def info(
         telemetry_offset=telemetry_offset,
     )
     _show_facts(describe(sequence))
+
+
+@data_app.command("list")
+def list_data() -> None:
+    """Say which recordings can be brought here: name, size, licence."""
+    from fvslam_graph.datasets.registry import published
+
+    _show_facts((name, f"{known.title}; {known.size}; {known.licence}") for name, known in published().items())
+
+
+@data_app.command("get")
+def get_data(
+    name: Annotated[str, typer.Argument(help="As `fvslam data list` says.")],
+    out: Annotated[Path | None, typer.Option(help="Folder; data/NAME if not given.")] = None,
+) -> None:
+    """Download a published recording and unpack it; stopped, it goes on from there."""
+    from fvslam_graph.datasets.download import CHECKSUMS, get_dataset
+    from fvslam_graph.datasets.registry import find_dataset
+
+    dataset, folder = find_dataset(name), out or Path("data") / name
+    typer.echo(f"{dataset.title}; {dataset.size}\nlicence: {dataset.licence} ({dataset.page})")
+    with (
+        _kept(lambda: f"what has come is kept in {folder}; the same command goes on from there"),
+        _DownloadBar() as bar,
+    ):
+        path = get_dataset(dataset, folder, bar)
+    if any(archive.sha256 is None for archive in dataset.archives):
+        typer.echo(f"no checksum is published: that of this download is in {folder / CHECKSUMS}")
+    typer.echo(f"next: fvslam info {path}")
 
 
 @app.command()
@@ -668,6 +714,36 @@ def _progress(items: Iterable[_T], total: int, label: str) -> Iterator[_T]:
 
     console = Console(stderr=True)
     return iter(track(items, escape(label), total, console=console, disable=not console.is_terminal, transient=True))
+
+
+class _DownloadBar:
+    """A bar on a terminal, nothing elsewhere; `datasets.download.Bar` says what its methods are for."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, DownloadColumn, Progress, TimeRemainingColumn
+
+        console = Console(stderr=True)
+        columns = (BarColumn(), DownloadColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, disable=not console.is_terminal, transient=True)
+        self._task = self._progress.add_task("")
+        self.total = 0
+
+    def __enter__(self) -> _DownloadBar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def update(self, count: int) -> None:
+        self._progress.update(self._task, total=self.total, advance=count)
+
+    def reset(self) -> None:
+        self._progress.reset(self._task)
+
+    def close(self) -> None:
+        self._progress.refresh()
 
 
 @contextmanager

@@ -21,6 +21,7 @@ ALLOWED = {
     "sequences": {"core"},
     "estimator": {"core", "vo", "slam", "fusion"},
     "runs": {"core"},
+    "datasets": {"core", "runs"},
     "pipeline": {"core", "estimator", "runs"},
     "evaluation": {"core", "sequences", "simulation", "vo", "slam", "fusion", "estimator", "runs"},
     "study": {"core", "sequences", "pipeline", "runs", "evaluation"},
@@ -80,6 +81,8 @@ def test_the_root_holds_faces_pipeline_and_estimator():
         ),
         ("dask", {"study/execution.py"}),
         ("rosbags", {"runs/export/ros2.py", "sequences/ros/reader.py"}),
+        ("pooch", {"datasets/download.py"}),
+        ("psutil", {"study/measured_process.py"}),
         ("distributed", {"study/execution.py"}),
     ],
 )

@@ -29,5 +29,9 @@ class EstimationError(FvslamError):
     """An estimate that cannot be made from what was measured."""
 
 
+class DatasetError(FvslamError):
+    """A published recording that is unknown, or does not come as it should."""
+
+
 class StudyError(FvslamError):
     """A study that is not well declared, or cannot be carried out."""

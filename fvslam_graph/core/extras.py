@@ -8,10 +8,11 @@ from fvslam_graph.core.errors import FvslamError
 
 LIBRARIES = {
     "bags": ("rosbags",),
+    "data": ("pooch",),
     "eval": ("evo", "matplotlib"),
     "geo": ("pymap3d",),
     "rerun": ("rerun",),
-    "study": ("dask", "distributed", "evo", "jinja2", "matplotlib", "pandas", "pyarrow"),
+    "study": ("dask", "distributed", "evo", "jinja2", "matplotlib", "pandas", "psutil", "pyarrow"),
     "test": ("evo", "matplotlib", "pytest"),
 }
 """What each extra installs, by the names of its modules."""

@@ -24,6 +24,8 @@ class FolderKind(StrEnum):
     STUDY = "study"
     IMAGES = "set of rendered images"
     FIGURES = "figures"
+    SYSTEM = "run of another system"
+    DATASET = "published data set"
 
 
 def kind_of(folder: Path) -> FolderKind | None:

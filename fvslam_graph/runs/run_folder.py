@@ -108,7 +108,7 @@ class RunWriter:
         self._finish = finish
 
     def __enter__(self) -> RunWriter:
-        self._begin, self._waited = time.perf_counter(), seconds_without_core()
+        self._begin, self._cpu, self._waited = time.perf_counter(), time.process_time(), seconds_without_core()
         forget_peak_memory()
         with ExitStack() as stack:
             stack.enter_context(claimed(self.folder, FolderKind.RUN))
@@ -223,6 +223,7 @@ class RunWriter:
             "frames": len(self._results),
             "statuses": Counter(result.status.value for result in self._results),
             "seconds": (seconds := time.perf_counter() - self._begin),
+            "cpu_seconds": time.process_time() - self._cpu,
             "waited": (seconds_without_core() - self._waited) / seconds,  # share of that time, for a core
             "ms_per_frame": {
                 stage: {"median": float(np.median(ms)), "mean": float(np.mean(ms))} for stage, ms in times.items()

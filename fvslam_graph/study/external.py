@@ -62,14 +62,19 @@ def external_run(name: str, file: str, sequence: Sequence) -> Run:
 
 def external_row(name: str, file: str, sequence: Sequence, align: Alignment) -> tuple[Row, Run | None]:
     """The row of a trajectory file, with the reason where it cannot be compared, and the trajectory."""
-    labels = {"sequence": sequence.name, "mode": name, "preset": EXTERNAL, "variant": ""}
+    labels = external_labels(name, sequence.name)
     try:
         run = external_run(name, file, sequence)
-        found = metric_columns(evaluation_of(run, None, align))
+        found = {} if sequence.ground_truth is None else metric_columns(evaluation_of(run, None, align))
     except FvslamError as error:
         return labels | {"status": f"failed: {error}"}, None
     row = labels | {"status": "finished", "frames": len(sequence), "coverage": run.coverage} | found
     return row, run
+
+
+def external_labels(name: str, sequence: str) -> Row:
+    """The columns that say which row that of a system on a sequence is."""
+    return {"sequence": sequence, "mode": name, "preset": EXTERNAL, "variant": ""}
 
 
 def _cut(trajectory: Trajectory, sequence: Sequence, path: Path) -> Trajectory:

@@ -128,11 +128,12 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
     correction, `t_rel_scaled` with it; `nees` of the relative motions, of their rotations and of their directions, and
     which of these the reference cannot judge (`unjudged`). `matched` is how many landmarks V-SLAM finds in an image,
     `nis` the mean normalised innovation squared of those it takes, `ms` the mean time of a frame without reading it,
-    `peak_mb` the memory of the process, `waited` the share of its time for which it waited for a core. NaN stands for
-    what the recording cannot tell.
+    `cpu_s` and `wall_s` the seconds of the whole run with reading, `peak_mb` the memory of the process, `waited` the
+    share of its time for which it waited for a core. NaN stands for what the recording cannot tell.
     """
     status, times = run.frames["status"], [run.frames[name] for name in run.frames if name.endswith("_ms")]
     milliseconds = np.sum(times, axis=0) - run.frames.get("read_ms", 0.0)
+    totals = run.info.get("totals", {})
     row: Row = {
         "status": run.info["status"],
         "frames": run.info["frames"],
@@ -144,8 +145,10 @@ def row_of(run: Run, evaluation: Evaluation | None) -> Row:
         "note": _note(run),
         "ms": float(np.mean(milliseconds)),
         "ms_p95": float(np.percentile(milliseconds, 95)),
-        "peak_mb": run.info.get("totals", {}).get("peak_memory_mb", np.nan),
-        "waited": run.info.get("totals", {}).get("waited", np.nan),
+        "cpu_s": totals.get("cpu_seconds", np.nan),
+        "wall_s": totals.get("seconds", np.nan),
+        "peak_mb": totals.get("peak_memory_mb", np.nan),
+        "waited": totals.get("waited", np.nan),
     }
     if evaluation is None:
         return row | dict.fromkeys(METRIC_COLUMNS, np.nan) | {"unjudged": ""}
@@ -176,7 +179,8 @@ def metric_columns(evaluation: Evaluation) -> Row:
 
 def outcome_line(row: Row) -> str:
     """One line on a run: which, and how it ended."""
-    labels = [f"{row['mode']} on {row['sequence']}", row["variant"], f"seed {row['seed']}"]
+    seed = f"seed {row['seed']}" if "seed" in row else ""  # other systems have none
+    labels = [f"{row['mode']} on {row['sequence']}", row["variant"], seed]
     ape = row.get("ape", np.nan)
     said = f"APE {ape:.4g} m" if row["status"] == "finished" and np.isfinite(ape) else row["status"]
     return one_line(f"{', '.join(label for label in labels if label)}: {said}")

@@ -37,7 +37,8 @@ RESULTS = (
 )
 EXTERNAL = "external"
 """The preset of other people's systems."""
-COSTS = ("ms", "ms_p95", "peak_mb", "waited")
+COSTS = ("ms", "ms_p95", "cpu_s", "wall_s", "peak_mb", "waited")
+_SYSTEM_COSTS = ("cpu_s", "wall_s")  # all that is known of the time of other systems
 _WORDS = (*LABELS, "status", "scale_source", "unjudged", "note", "folder")
 _COUNTS = ("seed", "frames")
 
@@ -57,6 +58,8 @@ _SUMMARY = {  # column of the table: its name, digits, factor
     "ape_common": ("APE, common (m)", ".3f", 1.0),
     "rpe_common": ("RPE, common (m)", ".4f", 1.0),
     "ms": ("ms/frame", ".1f", 1.0),
+    "cpu_s": ("CPU (s)", ".1f", 1.0),
+    "wall_s": ("wall (s)", ".1f", 1.0),
     "peak_mb": ("peak MB", ".0f", 1.0),
 }
 
@@ -67,6 +70,10 @@ _MEANINGS = (
     "consistent. poses: those with ground truth. ms/frame: mean without reading images"
 )
 RESULT_FILES = ("results.csv", "results.parquet", "costs.csv", "summary.md", "summary.tex")
+_TIMED_SYSTEMS = (
+    " CPU and wall: seconds of the whole run with reading images; of other systems, also with their start, and peak MB "
+    "of all their processes."
+)
 UNDISTURBED = 0.02  # share of the time for which a process may wait for a core
 _NEES_PARTS = {"nees": "pose", "nees_rotation": "rotation", "nees_direction": "direction"}
 
@@ -134,7 +141,7 @@ class StudyResults:
         return (
             f"{' / '.join(self.table['sequence'].unique())}. {self.circumstances} Median, and range over the seeds in "
             f"brackets. {failed} of {len(self.table)} runs failed and have no error. {common} {_MEANINGS}"
-            f"{self._sharing}."
+            f"{self._sharing}.{_TIMED_SYSTEMS if self._systems_are_timed else ''}"
         )
 
     @property
@@ -153,11 +160,20 @@ class StudyResults:
         known = self.finished.dropna(subset=["associated"])
         return bool((known["common"] != known["associated"]).any())
 
+    @property
+    def _systems_are_timed(self) -> bool:
+        """Whether other systems were run here."""
+        return bool(self.table.loc[self.table["preset"] == EXTERNAL, "wall_s"].notna().any())
+
     def summary(self) -> Table:
         """One row for each sequence, mode, preset and variant: median and range over the seeds."""
         own = self.table[self.table["preset"] != EXTERNAL]
         shown = [label for label in LABELS if label == "mode" or own[label].nunique() > 1]
-        columns = {name: what for name, what in _SUMMARY.items() if name not in COMMON_COLUMNS or self._frames_differ}
+        left_out = {
+            *(() if self._frames_differ else COMMON_COLUMNS),
+            *(() if self._systems_are_timed else _SYSTEM_COSTS),
+        }
+        columns = {name: what for name, what in _SUMMARY.items() if name not in left_out}
         rows = []
         for common, group in self.table.groupby(list(LABELS), sort=False):
             labels = dict(zip(LABELS, common, strict=True))

@@ -7,6 +7,7 @@ import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from fvslam_graph.study.report import write_report
 from fvslam_graph.study.results import RESULT_FILES, StudyResults
 from fvslam_graph.study.spec import Study
 from fvslam_graph.study.statistics import differences
+from fvslam_graph.study.systems import run_systems
 
 _log = logging.getLogger(__name__)
 
@@ -46,8 +48,8 @@ def run_study(
 ) -> StudyResults:
     """Run what has not been run yet, then write tables, figures and report.
 
-    Leaves in `out`: runs/ (a run folder each), results.csv and .parquet, costs.csv, summary.md and .tex, figures/,
-    report.html and study.yaml.
+    Leaves in `out`: runs/ (a run folder each), systems/ (what other programs said), results.csv and .parquet,
+    costs.csv, summary.md and .tex, figures/, report.html and study.yaml.
 
     Args:
         study: What to run.
@@ -67,7 +69,11 @@ def run_study(
         for row, _ in others:
             if row["status"] != "finished":
                 _log.warning("%s on %s: %s", row["mode"], row["sequence"], row["status"])
-        rows: dict[int, Row] = dict(watch(execute_all(jobs, out / "runs", study.align, workers, scheduler), len(jobs)))
+        done = chain(
+            execute_all(jobs, out / "runs", study.align, workers, scheduler), _systems(study, others, len(jobs), out)
+        )
+        total = len(jobs) + len(study.sequences) * len(study.systems)
+        rows: dict[int, Row] = {number: row for number, row in watch(done, total) if number < len(jobs)}
         ordered = [rows[number] for number in range(len(jobs))]
         results = StudyResults.of(_on_common_frames(study, ordered, others, out), study.align)
         _require_no_loss(results, out)
@@ -150,6 +156,14 @@ def _external(study: Study) -> Iterator[tuple[Row, Run | None]]:
             continue
         for name, file in files.items():
             yield external_row(name, file, sequence, study.align)
+
+
+def _systems(study: Study, others: list[tuple[Row, Run | None]], first: int, out: Path) -> Iterator[tuple[int, Row]]:
+    """Run the other programs; their rows, numbered from `first`, and trajectories are added to the others'."""
+    found = run_systems(study.sequences, study.systems, study.system_limit, study.align, out / "systems")
+    for number, other in enumerate(found, first):
+        others.append(other)
+        yield number, other[0]
 
 
 def _draw_trajectories(results: StudyResults, sequence: str, others: list[Run], out: Path) -> list[Path]:

@@ -16,6 +16,7 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
+    PositiveFloat,
     ValidationError,
     model_validator,
 )
@@ -32,6 +33,7 @@ from fvslam_graph.core.yaml_files import read_yaml_mapping
 from fvslam_graph.evaluation.alignment import Alignment
 from fvslam_graph.study.jobs import VARIANT_SEPARATOR, Job
 from fvslam_graph.study.sources import HeldSequence, Source
+from fvslam_graph.study.systems import DEFAULT_LIMIT, System
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -80,6 +82,13 @@ def _distinct_names(sources: tuple[Source, ...]) -> tuple[Source, ...]:
     return sources
 
 
+def _systems(values: Any) -> Any:
+    """A system of which only the command is given may be written as that command."""
+    if not isinstance(values, dict):
+        return values
+    return {name: {"command": value} if isinstance(value, str) else value for name, value in values.items()}
+
+
 def _numbers(value: Any) -> Any:
     """A number of seeds means 0, 1, ... below it."""
     return range(value) if isinstance(value, int) else value
@@ -99,6 +108,9 @@ class Study(BaseModel):
         align: How estimates are brought into the world of the ground truth.
         external: Trajectories of other systems by the name of their sequence: files by the name of the system, as for
             `external_run`.
+        systems: Other programs to run by their name: each a command as of `System`, run in the folder of the
+            declaration.
+        system_limit: Seconds after which one is killed.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -124,6 +136,8 @@ class Study(BaseModel):
     ] = (0, 1, 2, 3, 4)
     align: Alignment = Alignment.SIM3
     external: dict[str, dict[str, str]] = {}
+    systems: Annotated[dict[str, System], BeforeValidator(_systems)] = {}
+    system_limit: PositiveFloat = DEFAULT_LIMIT
 
     @model_validator(mode="after")
     def _external_is_of_sequences(self) -> Self:
@@ -131,6 +145,13 @@ class Study(BaseModel):
         for name in self.external:
             if name not in labels:
                 raise ValueError(f"external: '{name}' is none of the sequences {', '.join(labels)}")
+        return self
+
+    @model_validator(mode="after")
+    def _systems_have_names_of_their_own(self) -> Self:
+        taken = {*map(str, self.modes), *(name for files in self.external.values() for name in files)}
+        if twice := taken.intersection(self.systems):
+            raise ValueError(f"systems: '{min(twice)}' is the name of another method, too")
         return self
 
     def below(self, folder: Path) -> Self:
@@ -144,7 +165,8 @@ class Study(BaseModel):
             for sequence, files in self.external.items()
         }
         sequences = tuple(source.below(folder) for source in self.sequences)
-        return self.model_copy(update={"sequences": sequences, "external": external})
+        systems = {name: system.below(folder) for name, system in self.systems.items()}
+        return self.model_copy(update={"sequences": sequences, "external": external, "systems": systems})
 
     def jobs(self) -> list[Job]:
         """All runs, sequence by sequence; what a mode does not read makes no other runs of it.
@@ -213,6 +235,8 @@ class ComparisonOptions(TypedDict, total=False):
     preset: str
     settings: Mapping[str, Any] | None
     external: Mapping[str, str | Path | Method] | None
+    systems: Mapping[str, str] | None
+    system_limit: float
     align: str
 
 
@@ -247,6 +271,8 @@ def comparison(
                 "seeds": seeds if isinstance(seeds, int) else list(seeds),
                 "align": options.get("align", Alignment.SIM3),
                 "external": {source.label: files} if files else {},
+                "systems": dict(options.get("systems") or {}),
+                "system_limit": options.get("system_limit", DEFAULT_LIMIT),
             }
         )
     except ValidationError as error:

@@ -16,6 +16,7 @@ from fvslam_graph.core.plugins import of_method
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study import run as study_run
+from fvslam_graph.study.results import COSTS
 from fvslam_graph.study.run import run_study
 from fvslam_graph.study.spec import Study
 from fvslam_graph.study.statistics import differences
@@ -71,7 +72,7 @@ def test_the_same_on_two_workers(flown, tmp_path, caplog):
     """What can be imported is sent, and kept; what cannot runs here, and that is said."""
     options = {"sequences": [flown], "modes": ["vo", exact, lambda sequence, seed: sequence.ground_truth], "seeds": 2}
     tables = [run_study(Study(**options), tmp_path / str(workers), workers).table for workers in (1, 2)]
-    names = [column for column in tables[0] if column not in ("ms", "ms_p95", "peak_mb", "waited")]
+    names = [column for column in tables[0] if column not in COSTS]
     pd.testing.assert_frame_equal(tables[0][names], tables[1][names])
     assert "<lambda> cannot be imported by its name: it runs in this process" in caplog.text
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "2" / "runs").glob("*/run.json")}

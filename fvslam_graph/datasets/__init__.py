@@ -1,0 +1,1 @@
+"""Published recordings: which there are, and how they come here."""
