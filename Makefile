@@ -6,9 +6,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadscope
-CHROMIUM := DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium fonts-dejavu-core
+INSTALL := DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends
+CHROMIUM := $(INSTALL) chromium fonts-dejavu-core
+LATEX := $(INSTALL) texlive-science
 
-.PHONY: help demo test test-all test-numerics fuzz lint browser docs tables table-ages package installs lock clean
+.PHONY: help demo test test-all test-numerics fuzz lint browser latex docs tables table-ages package installs lock clean
 .DEFAULT_GOAL := help
 
 help: ## This list
@@ -39,6 +41,11 @@ browser:
 	@command -v chromium >/dev/null || { test "$$(id -u)" = 0 && command -v apt-get >/dev/null && \
 		{ $(CHROMIUM) || { apt-get update -qq && $(CHROMIUM); }; } >/dev/null 2>&1; } || \
 		echo "There is no Chromium: the tests of reports in a browser are skipped."
+
+latex: ## Debian's LaTeX, by which tables are set in the tests; without it, these are skipped
+	@command -v pdflatex >/dev/null || { test "$$(id -u)" = 0 && command -v apt-get >/dev/null && \
+		{ $(LATEX) || { apt-get update -qq && $(LATEX); }; } >/dev/null 2>&1; } || \
+		echo "There is no LaTeX: the tests that set tables are skipped."
 
 docs: $(READY) ## The documentation in build/site, with strict links
 	$(BIN)/mkdocs build --strict
