@@ -501,6 +501,8 @@ def calibrate(
     from fvslam_graph.sequences.board_calibration import calibrate as calibrated
 
     require("eval")  # for the picture
+    if not out.name:
+        raise CameraError(f"--out takes the name of a file, not '{out}'")
     picture = out.with_name(f"{out.stem}_residuals.png")
     with writing(out.parent):  # a name may be too long even to ask
         if existing := [file for file in (out, picture) if file.exists()]:
