@@ -109,7 +109,10 @@ def main() -> NoReturn:
 def _interrupt_at_the_end() -> None:
     """Interrupt the run when the process that waits for it has gone, or wants no row any more."""
     sys.stdin.buffer.read()
-    _thread.interrupt_main(signal.SIGTERM)
+    if sys.platform == "win32":
+        _thread.interrupt_main(signal.SIGTERM)
+    else:  # also where it waits for something
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
 
 
 def _outcome(job: Job, folder: Path, align: Alignment, rendered: Path | None, alone: bool) -> Row | str:
