@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.choices import Mode, ScaleSource
@@ -78,6 +80,9 @@ class FrameEstimator:
         front_end: FrontEnd | None = None,
         rule: FusionRule | None = None,
     ) -> None:
+        if config.mode != Mode.VO:
+            import scipy.linalg  # noqa: F401  its BLAS has to be there to be held to one thread
+        self._blas = ThreadpoolController()
         front_end = front_end or FrontEnd()
         self.config = config
         begin_vo = partial(VisualOdometry, camera, config, ground, front_end.baseline, front_end.tracker)
@@ -93,6 +98,21 @@ class FrameEstimator:
 
     def step(self, frame: Frame) -> FrameResult:
         """Estimate the pose of the next frame; frames come in the order of their stamps, numbered from 0."""
+        with self._one_thread():
+            return self._step(frame)
+
+    def finish(self) -> Ending | None:
+        """What all frames together say; None where the mode does not smooth."""
+        with self._one_thread():
+            return self._fusion.finish()
+
+    def _one_thread(self) -> AbstractContextManager[object]:
+        """Matrices are small: a second thread costs more than it brings, and sums would depend on the machine."""
+        limit: AbstractContextManager[object] = self._blas.limit(limits=1, user_api="blas")
+        return limit
+
+    def _step(self, frame: Frame) -> FrameResult:
+        """Fig. 1 of the paper."""
         config, vslam, fusion = self.config, self._vslam, self._fusion
         stopwatch = Stopwatch()
         filed = self._duplicates.filtered(frame)
@@ -139,10 +159,6 @@ class FrameEstimator:
         return FrameResult(
             frame.index, frame.stamp, fusion.pose, status, previous, motion, measures, times, slam, fusion.enu, tracks
         )
-
-    def finish(self) -> Ending | None:
-        """What all frames together say; None where the mode does not smooth."""
-        return self._fusion.finish()
 
     def _start(self, frame: Frame, odometry: VoEstimate) -> SlamEstimate | None:
         """Begin visual SLAM where odometry knows enough points to begin with, and the scale source has spoken."""

@@ -113,6 +113,7 @@ def measure(path: str, mode: str, preset: str, settings: list[str], frames: str 
     sequence = open_sequence(path, frames=frames)
     if len(sequence) <= WARM_UP:
         raise FvslamError(f"{sequence.name} has {len(sequence)} frames, but the first {WARM_UP} only warm up")
+    cv2.setNumThreads(1)  # as `fvslam run`
     floor = Floor()
     floor.watch()
     config = resolve_config(load_config(preset, settings=[*settings, f"mode={mode}"]), sequence)

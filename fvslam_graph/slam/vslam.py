@@ -8,7 +8,6 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import SlamSettings
@@ -45,8 +44,6 @@ MEMORY = 3.0  # seconds for which a lost map is looked for,
 MIN_FOUND_SHARE = 0.4  # and of its landmarks that have to be measured then
 UNKNOWN_SCALE = 0.7  # of log scale: scenes are as far away as the last one within a factor of two
 UNKNOWN_RATE = 0.5  # rad/s, and distances to the landmarks per second: standard deviation where nothing is known
-# The matrices are small: a second thread costs more than it brings, and the sums would depend on the machine.
-_BLAS = ThreadpoolController()
 
 
 class VSlam:
@@ -109,7 +106,6 @@ class VSlam:
         state = self._map.add_landmarks(state, frame, points, self._map_T_camera)
         return self._arrive(frame, state, prev_T_cur, LandmarkMatches.none(), Status.TRACKED, frame.index)
 
-    @_BLAS.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
     def step(
         self, frame: Frame, odometry: GaussianPose | None = None, points: KnownPoints | None = None
     ) -> SlamEstimate:

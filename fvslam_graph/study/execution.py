@@ -100,7 +100,7 @@ def _one_by_one(
                 rendered[source] = None
                 with suppress(FvslamError):  # its runs say why
                     rendered[source] = render(source, images)
-            yield number, _attempt(jobs[number], folder, align, rendered[source], True, Running())
+            yield number, _attempt(jobs[number], folder, align, rendered[source], Running())
 
 
 def _side_by_side(
@@ -114,8 +114,8 @@ def _side_by_side(
 
         def attempt(job: Job, folder: Path) -> Row:
             with suppress(FvslamError):  # its run says why
-                return _attempt(job, folder, align, rendered[job.source].result(), False, running)
-            return _attempt(job, folder, align, None, False, running)
+                return _attempt(job, folder, align, rendered[job.source].result(), running)
+            return _attempt(job, folder, align, None, running)
 
         try:
             for number, folder in pending.items():
@@ -207,14 +207,14 @@ def _on_worker(job: Job, folder: Path, align: Alignment, rendered: Path | None) 
             raise StudyError(f"on {platform.node()}, the recording, this package or a library of it is another one")
     except FvslamError as error:
         return _failed(job, error)
-    return _attempt(job, folder, align, rendered, False, Running())
+    return _attempt(job, folder, align, rendered, Running())
 
 
-def _attempt(job: Job, folder: Path, align: Alignment, rendered: Path | None, alone: bool, running: Running) -> Row:
+def _attempt(job: Job, folder: Path, align: Alignment, rendered: Path | None, running: Running) -> Row:
     try:
         written = rendered is not None or not isinstance(job.source, HeldSequence)
         if written and _bound_to_this_process(job) is None:
-            return execute_apart(_light(job), folder, align, rendered, alone, running)
+            return execute_apart(_light(job), folder, align, rendered, running)
         return execute(job, folder, align, rendered)
     except Exception as error:  # one run that fails must not end the study
         return _failed(job, error)

@@ -20,7 +20,7 @@ from fvslam_graph.study.jobs import Job, Row, execute
 _COMMAND = f"from {__name__} import main; main()"
 
 
-# One thread for each run, where as many runs as cores go on at once.
+# As many runs as cores go on at once, and one that is alone is to be comparable with them.
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -51,21 +51,17 @@ class Running:
                 input.close()
 
 
-def execute_apart(
-    job: Job, folder: Path, align: Alignment, rendered: Path | None, alone: bool, running: Running
-) -> Row:
+def execute_apart(job: Job, folder: Path, align: Alignment, rendered: Path | None, running: Running) -> Row:
     """The row of `execute`, done in another process, which ends with this one.
 
     Args:
         job, folder, align, rendered: As there.
-        alone: Whether no other run goes on, so that it may use all cores.
         running: By which it can be interrupted from another thread.
 
     Raises:
         StudyError: The run failed, or its process died.
     """
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    environment |= {} if alone else _ONE_THREAD
+    environment = os.environ | _ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-c", _COMMAND]
     # In a session of its own, where Ctrl-C does not reach it: this process tells it.
     with subprocess.Popen(
@@ -75,7 +71,7 @@ def execute_apart(
         try:
             running.add(process.stdin)
             with suppress(BrokenPipeError, ValueError):  # it has died, or is to be interrupted
-                process.stdin.write(pickle.dumps((job, folder, align, rendered, alone)))
+                process.stdin.write(pickle.dumps((job, folder, align, rendered)))
                 process.stdin.flush()
             answer = process.stdout.read()
         finally:
@@ -94,12 +90,12 @@ def main() -> NoReturn:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print is no part of it
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        job, folder, align, rendered, alone = pickle.load(sys.stdin.buffer)
+        job, folder, align, rendered = pickle.load(sys.stdin.buffer)
     except EOFError:  # interrupted before it has begun
         os._exit(130)
     threading.Thread(target=_interrupt_at_the_end, daemon=True).start()
     try:
-        answer.write(pickle.dumps(_outcome(job, folder, align, rendered, alone)))
+        answer.write(pickle.dumps(_outcome(job, folder, align, rendered)))
         answer.flush()
         os._exit(0)  # at once: nothing is left to be interrupted
     except KeyboardInterrupt:
@@ -115,11 +111,10 @@ def _interrupt_at_the_end() -> None:
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
 
 
-def _outcome(job: Job, folder: Path, align: Alignment, rendered: Path | None, alone: bool) -> Row | str:
+def _outcome(job: Job, folder: Path, align: Alignment, rendered: Path | None) -> Row | str:
     import cv2
 
-    if not alone:
-        cv2.setNumThreads(1)  # as many runs as cores go on at once
+    cv2.setNumThreads(1)
     try:
         return execute(job, folder, align, rendered)
     except Exception as error:  # one run that fails must not end the study

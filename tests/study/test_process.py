@@ -14,7 +14,7 @@ SIM3 = Alignment.SIM3
 def test_its_memory_is_its_own(job, tmp_path):
     ballast = np.ones(100_000_000)  # 800 MB of this process
     one = job()
-    row = execute_apart(one, one.folder(tmp_path), SIM3, None, True, Running())
+    row = execute_apart(one, one.folder(tmp_path), SIM3, None, Running())
     assert 50 < row["peak_mb"] < 600 and ballast[-1] == 1  # measured 190
     assert 0 <= row["waited"] < 1 or np.isnan(row["waited"])
 
@@ -22,14 +22,14 @@ def test_its_memory_is_its_own(job, tmp_path):
 def test_one_that_fails_says_why(job, tmp_path):
     one = job("scale.source=oracle", path=str(tmp_path / "absent"))
     with pytest.raises(StudyError, match="absent does not exist"):
-        execute_apart(one, tmp_path / "run", SIM3, None, True, Running())
+        execute_apart(one, tmp_path / "run", SIM3, None, Running())
 
 
 def test_one_that_dies_takes_nothing_with_it(job, tmp_path, monkeypatch):
     (tmp_path / "sitecustomize.py").write_text("import os\nos._exit(9)\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(StudyError, match="its process ended with code 9"):
-        execute_apart(job(), tmp_path / "run", SIM3, None, True, Running())
+        execute_apart(job(), tmp_path / "run", SIM3, None, Running())
 
 
 @pytest.mark.parametrize(
