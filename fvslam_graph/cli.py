@@ -659,8 +659,6 @@ def _with_sensors(
 
 def _run(sequence: Sequence, config: Config, folder: Path, rerun: str | None = None) -> str:
     """Run, and say how many frames came out how."""
-    import cv2
-
     from fvslam_graph.core.files import one_line
     from fvslam_graph.core.trajectory import Status
     from fvslam_graph.pipeline import run_sequence
@@ -668,7 +666,6 @@ def _run(sequence: Sequence, config: Config, folder: Path, rerun: str | None = N
     def progress(results: Iterable[FrameResult]) -> Iterable[FrameResult]:
         return _progress(results, len(sequence), sequence.name)
 
-    cv2.setNumThreads(1)  # others take a third more CPU, of which a small UAV has little, and save a tenth of the time
     effective = _effective(config, sequence)
     with _kept(lambda: _interrupted(folder)):
         if rerun is None:
@@ -702,9 +699,12 @@ def _viewer(target: str, sequence: Sequence) -> Viewer:
 
 
 def _effective(config: Config, sequence: Sequence) -> Config:
-    """The settings that hold for a sequence; where that is not what was wanted, it says so."""
+    """The settings that hold for a sequence, which is run next; where that is not what was wanted, it says so."""
+    import cv2
+
     from fvslam_graph.pipeline import resolve_config
 
+    cv2.setNumThreads(1)  # others take a third more CPU, of which a small UAV has little, and save a tenth of the time
     effective = resolve_config(config, sequence)
     if effective != config:
         typer.echo(f"{sequence.name}: no ground is known, so the scale is relative (scale source 'map')", err=True)
