@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera, Image
 from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.quick import median
 from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, epipolar_distance, rays
 from fvslam_graph.vo.relative_pose import TwoViews
@@ -27,6 +28,9 @@ _SEARCH = 8.0  # pixels that the ground may lie off its prediction
 _HYPOTHESES = 60
 MIN_TRACKS = 10  # on the ground, for a first guess
 _RATIOS = np.geomspace(0.05, 4.0, 16)  # baseline over height: what is tried where nothing is expected
+LIMIT = 2.0  # tolerances beyond which a patch counts for less, or is no ground; where residuals are smaller,
+KERNEL = 4.0  # deviations: so many that relief is averaged
+MIN_SPREAD = 0.05  # of what patches may err: what they do, at least
 STRIDE = 5  # from one of these to the next one tried: all come, and soon some of each size
 
 
@@ -177,20 +181,26 @@ class GroundAligner:
     def _refine(
         self, ray: NDArray[np.float64], depths: InverseDepths, plane: NDArray[np.float64]
     ) -> GroundPlane | None:
-        """Iteratively reweighted least squares (Geman-McClure) with the nominal normal as a prior."""
+        """Iteratively reweighted least squares (Geman-McClure) with the nominal normal as a prior.
+
+        How far patches may lie off tells them from what is no ground. Most of them tell how far they do: where that is
+        little, what lies off by more is a kerb or a wall, which would make the ground seem farther away.
+        """
         for _ in range(6):
             length = float(np.linalg.norm(plane))
             if not length > 0:
                 return None
             predicted = ray @ plane
             tolerance = self._tolerance(depths, predicted)
-            weight = (1 + ((depths.values - predicted) / tolerance / 2) ** 2) ** -2
-            information = weight / tolerance**2
+            error = (depths.values - predicted) / tolerance
+            spread = min(1.0, max(MIN_SPREAD, median(np.abs(error)) / 0.6745))
+            weight = (1 + (error / min(LIMIT, KERNEL * spread)) ** 2) ** -2
+            information = weight / (spread * tolerance) ** 2
             # Only the components across the normal are known beforehand.
             across = (np.eye(3) - np.outer(self.normal, self.normal)) / (self.normal_sigma * length) ** 2
             normal_matrix = (ray * information[:, None]).T @ ray + across
             plane = np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.values)
-        patches = int((weight > 0.25).sum())
+        patches = int((np.abs(error) < LIMIT).sum())
         along = plane / np.linalg.norm(plane)
         # Of what the patches err on their own, and of what the motion makes them err together.
         common = np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.common)
