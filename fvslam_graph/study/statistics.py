@@ -9,7 +9,6 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import bootstrap
 
 from fvslam_graph.core.files import one_line
 from fvslam_graph.evaluation.tables import Table
@@ -127,6 +126,8 @@ def interval(values: NDArray[np.float64], seed: int) -> tuple[float, float]:
     """Bootstrap interval of the mean of values (n,); NaN where they are too few to tell anything about their spread."""
     if len(values) < MIN_RECORDINGS:
         return np.nan, np.nan
+    from scipy.stats import bootstrap  # which takes as long to load as all else of a study together
+
     found = bootstrap(
         (values,),
         np.mean,
