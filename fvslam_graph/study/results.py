@@ -226,9 +226,15 @@ def _keys(table: pd.DataFrame) -> list[tuple[Any, ...]]:
 
 
 def spread(values: Iterable[float], style: str = ".3f") -> str:
-    """Median, and the range in brackets where it shows in the digits; "-" without values."""
+    """Median, and the range in brackets where it shows in the digits; "-" without values.
+
+    Small values have more decimals than the style says, for two digits that count, down to 1e-5.
+    """
     known = np.array([value for value in values if np.isfinite(value)])
     if not len(known):
         return "-"
-    median, low, high = (f"{value:{style}}" for value in (np.median(known), known.min(), known.max()))
+    decimals = int(style[1:-1])
+    while 1e-5 < np.median(known) < 10 ** (1 - decimals) and 0 < decimals < 6:
+        decimals += 1
+    median, low, high = (f"{value:.{decimals}f}" for value in (np.median(known), known.min(), known.max()))
     return median if low == high else f"{median} ({low}-{high})"

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from evo.core.metrics import PoseRelation
@@ -15,6 +16,7 @@ from evo.main_ape import ape
 
 from fvslam_graph.core.files import file_name
 from fvslam_graph.core.trajectory import Trajectory
+from fvslam_graph.study.results import spread
 
 from .conftest import SHORT
 
@@ -105,3 +107,17 @@ def test_the_figures(small_study):
         for name in ("plot_trajectory", "plot_error", "plot_drift", "plot_covariance", "plot_nees"):
             for suffix in (".png", ".pdf", ".svg"):
                 assert (small_study / "figures" / sequence / f"{name}{suffix}").stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("values", "style", "shown"),
+    [
+        ([0.398, 0.392, 0.399], ".3f", "0.398 (0.392-0.399)"),
+        ([0.00304], ".3f", "0.0030"),
+        ([1e-15], ".3f", "0.000"),
+        ([9, 9], ".0f", "9"),
+        ([np.nan], ".3f", "-"),
+    ],
+)
+def test_small_values_keep_two_digits(values, style, shown):
+    assert spread(values, style) == shown
