@@ -20,7 +20,7 @@ def chi2_gate(probability: float, degrees_of_freedom: int) -> float:
 
 
 def _exceeding(square: float, degrees_of_freedom: int) -> float:
-    """With which probability a squared deviation is above another.
+    """The probability of a squared deviation above `square`.
 
     Source: Abramowitz, Stegun, "Handbook of mathematical functions", 26.4.4 and 26.4.5.
     """

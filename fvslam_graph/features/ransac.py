@@ -44,7 +44,7 @@ class RansacOptions:
 
     @property
     def poselib(self) -> dict[str, float]:
-        """As PoseLib takes them."""
+        """Options of PoseLib's RANSAC."""
         return {
             "max_epipolar_error": self.threshold,
             "max_reproj_error": self.threshold,
@@ -55,12 +55,12 @@ class RansacOptions:
 
     @property
     def poselib_refinement(self) -> dict[str, float | str]:
-        """As PoseLib takes them, for its last refinement."""
+        """Options of PoseLib's last refinement."""
         return {"loss_type": "CAUCHY", "loss_scale": self.loss_scale, "max_iterations": self.refinements}
 
     @property
     def usac(self) -> cv2.UsacParams:
-        """As OpenCV takes them: MSAC's score, samples drawn anew from inliers, least squares at the end."""
+        """Parameters of OpenCV's USAC: MSAC's score, samples drawn anew from inliers, least squares at the end."""
         options = cv2.UsacParams()
         options.threshold = self.threshold
         options.maxIterations = self.iterations[1]

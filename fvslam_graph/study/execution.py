@@ -106,7 +106,7 @@ def _one_by_one(
 def _side_by_side(
     jobs: Sequence[Job], pending: Mapping[int, Path], align: Alignment, images: Path, workers: int
 ) -> Iterator[tuple[int, Row]]:
-    """As many processes as `workers`, each waited for by a thread."""
+    """Run up to `workers` processes at once, each waited for by a thread."""
     running = Running()
     with _kept_for_now(images), ThreadPoolExecutor(workers) as pool:
         rendered: dict[Source, Future[Path | None]] = {}

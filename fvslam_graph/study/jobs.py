@@ -211,7 +211,7 @@ def _note(run: Run) -> str:
 
 
 def _mean(run: Run, column: str) -> float:
-    """Of the frames that have it; NaN where none has."""
+    """The mean of a column over the frames that have it; NaN where none has."""
     values = run.frames.get(column, np.array(np.nan))
     return float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
 

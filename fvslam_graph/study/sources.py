@@ -100,7 +100,7 @@ class HeldSequence(Source):
 
     @classmethod
     def of(cls, sequence: Sequence) -> Self:
-        """By the name of the sequence."""
+        """Hold a sequence, which keeps its name."""
         return cls(path=f"memory:{sequence.name}", name=sequence.name, held=sequence)
 
     @property
