@@ -753,7 +753,7 @@ class _DownloadBar:
 
 @contextmanager
 def _telling(package: str) -> Iterator[None]:
-    """On a terminal, show what a package logs as it goes on."""
+    """Show what a package logs as it goes on, on a terminal."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -790,7 +790,7 @@ def _told(rows: Iterable[tuple[int, Row]], total: int, label: str) -> Iterator[t
 
 @contextmanager
 def _kept(what: Callable[[], str]) -> Iterator[None]:
-    """Where the block is stopped, say what is kept of it."""
+    """Say what is kept of the block, where it is stopped."""
     try:
         yield
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""For pytest: worlds with exact ground truth and assertions, so that any estimator or fusion rule can be tested.
+"""Worlds with exact ground truth and assertions for pytest, so that any estimator or fusion rule can be tested.
 
 Say `pytest_plugins = ["fvslam_graph.testing"]` in a conftest.py, and tests can ask for `uav_sequence` (a downward
 camera over terrain, 640x480) and `drive_sequence` (a camera on a road between facades, 621x188). Where pytest is not

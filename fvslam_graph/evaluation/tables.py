@@ -69,7 +69,7 @@ class Table:
         )
 
     def rich(self, width: int) -> list[RichTable]:
-        """For a terminal of `width` characters: in as many tables as the columns need, each with the key columns."""
+        """Tables for a terminal of `width` characters: as many as the columns need, each with the key columns."""
         from rich import box
         from rich.table import Table as RichTable
         from rich.text import Text

@@ -133,7 +133,7 @@ def _side_by_side(
 def _distributed(
     jobs: Sequence[Job], pending: Mapping[int, Path], align: Alignment, images: Path, scheduler: str
 ) -> Iterator[tuple[int, Row]]:
-    """On the workers of a dask cluster that exists."""
+    """Run on the workers of a dask cluster that exists."""
     import distributed
 
     with _connected(scheduler) as client, _kept_for_now(images):
@@ -201,7 +201,7 @@ def _remove_images(folder: Path) -> None:
 
 
 def _on_worker(job: Job, folder: Path, align: Alignment, rendered: Path | None) -> Row:
-    """Perhaps on another machine, where another recording or version of the code is no part of the study."""
+    """Refuse what is no part of the study: perhaps, this is another machine with another recording or version of the code."""
     try:
         if not isinstance(job.source, HeldSequence) and job.folder(folder.parent).name != folder.name:
             raise StudyError(f"on {platform.node()}, the recording, this package or a library of it is another one")

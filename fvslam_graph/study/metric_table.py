@@ -51,7 +51,7 @@ class MetricTable:
 
     @classmethod
     def of(cls, study: Path, rows: str, columns: str, metric: str) -> MetricTable:
-        """From the folder of a study that came to its end.
+        """Read the folder of a study that came to its end.
 
         Args:
             study: The folder.

@@ -106,7 +106,7 @@ def _ratios(a: pd.DataFrame, b: pd.DataFrame, column: str) -> pd.Series:
 
 
 def _compared(metric: str, a: str, b: str, ratios: pd.Series, labels: Sequence[str], seed: int) -> Iterator[Difference]:
-    """On each sequence that has ratios (by sequence, logarithms), and on all."""
+    """Compare on each sequence that has ratios (by sequence, logarithms), and on all."""
     known = ratios.dropna()
     groups = {str(name): known[name] for name in dict.fromkeys(known.index)}
     means = np.array([np.mean(logs) for logs in groups.values()])
