@@ -201,7 +201,7 @@ def _remove_images(folder: Path) -> None:
 
 
 def _on_worker(job: Job, folder: Path, align: Alignment, rendered: Path | None) -> Row:
-    """Refuse what is no part of the study: perhaps, this is another machine with another recording or version of the code."""
+    """Refuse another recording or version of the code, which this worker, perhaps on another machine, may have."""
     try:
         if not isinstance(job.source, HeldSequence) and job.folder(folder.parent).name != folder.name:
             raise StudyError(f"on {platform.node()}, the recording, this package or a library of it is another one")
