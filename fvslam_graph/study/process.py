@@ -30,25 +30,25 @@ class Running:
     def __init__(self) -> None:
         self._lock, self._inputs, self._stopped = threading.Lock(), set[IO[bytes]](), False
 
-    def add(self, input: IO[bytes]) -> None:
+    def add(self, stdin: IO[bytes]) -> None:
         """Take in a process by its standard input, whose end interrupts it."""
         with self._lock:
-            self._inputs.add(input)
+            self._inputs.add(stdin)
             if self._stopped:
-                input.close()
+                stdin.close()
 
-    def remove(self, input: IO[bytes]) -> None:
+    def remove(self, stdin: IO[bytes]) -> None:
         """It has ended, or is to end."""
         with self._lock:
-            self._inputs.discard(input)
-            input.close()
+            self._inputs.discard(stdin)
+            stdin.close()
 
     def stop(self) -> None:
         """Interrupt all of them, and those that would begin later."""
         with self._lock:
             self._stopped = True
-            for input in self._inputs:
-                input.close()
+            for stdin in self._inputs:
+                stdin.close()
 
 
 def execute_apart(job: Job, folder: Path, align: Alignment, rendered: Path | None, running: Running) -> Row:
