@@ -4,6 +4,7 @@ import numpy as np
 import typer
 from experiments import Frames, Out, Preset, Seeds, SequencePath, column, run_variants, save
 from matplotlib.figure import Figure
+from one_sentence import one_sentence
 
 from fvslam_graph.core.choices import Mode
 from fvslam_graph.evaluation.plots.style import RUN_COLOURS
@@ -73,4 +74,5 @@ def main(path: SequencePath, out: Out, preset: Preset = "tuned", frames: Frames 
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    with one_sentence():
+        typer.run(main)

@@ -7,7 +7,6 @@ Images are read outside of the time that is measured. Each mode runs in a proces
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -22,6 +21,7 @@ import gtsam
 import numpy as np
 import psutil
 import typer
+from one_sentence import one_sentence
 from rich.console import Console
 
 from fvslam_graph.core.config import load_config
@@ -212,7 +212,5 @@ def main(
 
 
 if __name__ == "__main__":
-    try:
+    with one_sentence():
         typer.run(main)
-    except FvslamError as error:
-        sys.exit(f"benchmark: {error}")

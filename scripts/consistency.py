@@ -12,6 +12,7 @@ import gtsam
 import numpy as np
 import typer
 from numpy.typing import NDArray
+from one_sentence import one_sentence
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.trajectory import Status
@@ -63,4 +64,5 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    with one_sentence():
+        typer.run(main)

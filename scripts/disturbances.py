@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 import typer
 from numpy.typing import NDArray
+from one_sentence import one_sentence
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.frame_result import FrameResult
@@ -116,4 +117,5 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    with one_sentence():
+        typer.run(main)

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 import typer
+from one_sentence import one_sentence
 from pages import save_table
 
 from fvslam_graph.evaluation.tables import Table
@@ -72,4 +73,5 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    with one_sentence():
+        typer.run(main)

@@ -17,6 +17,7 @@ from typing import Annotated
 from zipfile import ZipFile
 
 import typer
+from one_sentence import one_sentence
 from packaging.requirements import Requirement
 from pages import save_table
 
@@ -93,4 +94,5 @@ def _resolved_on_arm(requirements: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    with one_sentence():
+        typer.run(main)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from one_sentence import one_sentence
 from pages import ROOT, marked_tables, save_table
 
 from fvslam_graph.evaluation.tables import Table
@@ -40,24 +41,24 @@ def recordings(
 @app.command()
 def pivot(
     file: Annotated[Path, typer.Argument(help="Page or summary.md of a study, whose table has a row for each pair.")],
-    row: Annotated[str, typer.Option(help="Column whose values become rows.")],
+    row: Annotated[list[str], typer.Option(help="Column whose values become rows; several are put together.")],
     column: Annotated[str, typer.Option(help="Column whose values become columns.")],
     cell: Cells,
     name: Name,
     out: Out,
     where: Annotated[str | None, typer.Option(help="Rows of the table that are used.", metavar="COLUMN=VALUE")] = None,
 ) -> None:
-    """Make a table with a row for each value of one column, and a column for each value of another."""
+    """Make a table with a row for each value of some columns, and a column for each value of another."""
     lines = _rows(file.read_text())
-    if missing := {row, column, *cell} - set(lines[0]):
+    if missing := {*row, column, *cell} - set(lines[0]):
         raise typer.BadParameter(f"{file} has no column {', '.join(sorted(missing))}")
     if where is not None:
         key, value = where.split("=", 1)
         lines = [line for line in lines if line[key] == value]
-    cells = {(line[row], line[column]): _cell(line, cell) for line in lines}
+    cells = {(" ".join(line[name] for name in row), line[column]): _cell(line, cell) for line in lines}
     down, across = (list(dict.fromkeys(names)) for names in zip(*cells, strict=True))
     rows = [[one, *(cells.get((one, other), "") for other in across)] for one in down]
-    save_table(out, name, Table((row, *across), rows))
+    save_table(out, name, Table((" ".join(row), *across), rows))
 
 
 def _rows(markdown: str) -> list[dict[str, str]]:
@@ -76,4 +77,5 @@ def _cell(row: dict[str, str], names: Sequence[str]) -> str:
 
 
 if __name__ == "__main__":
-    app()
+    with one_sentence():
+        app()

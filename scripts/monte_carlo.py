@@ -19,6 +19,7 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from one_sentence import one_sentence
 from pages import save_table
 
 from fvslam_graph.core.choices import Mode
@@ -129,4 +130,5 @@ def _median(values: NDArray[np.float64]) -> float:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    with one_sentence():
+        typer.run(main)

@@ -11,6 +11,7 @@ from experiments import Frames, Out, Preset, SequencePath, save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from one_sentence import one_sentence
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import FvslamError
@@ -101,4 +102,5 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    with one_sentence():
+        typer.run(main)

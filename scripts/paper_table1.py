@@ -8,6 +8,7 @@ import numpy as np
 import typer
 from experiments import Frames, Out, Preset, SequencePath, job_of, run_all, save
 from matplotlib.figure import Figure
+from one_sentence import one_sentence
 
 from fvslam_graph.evaluation.plots.style import RUN_COLOURS
 from fvslam_graph.evaluation.tables import Table
@@ -75,4 +76,5 @@ def _median(rows: list[dict[str, object]], mode: str, count: int) -> float:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    with one_sentence():
+        typer.run(main)

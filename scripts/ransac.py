@@ -10,6 +10,7 @@ from typing import Annotated
 
 import cv2
 import typer
+from one_sentence import one_sentence
 from pages import save_table
 from threadpoolctl import threadpool_limits
 
@@ -67,4 +68,5 @@ def _run(sequence: Sequence, seed: int) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    with one_sentence():
+        typer.run(main)

@@ -14,6 +14,7 @@ import gtsam
 import numpy as np
 import typer
 from numpy.typing import NDArray
+from one_sentence import one_sentence
 
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.gaussian_pose import GaussianPose
@@ -139,4 +140,5 @@ def _altimeter(sequence: Sequence, seed: int) -> SensorSeries:
 
 
 if __name__ == "__main__":
-    app()
+    with one_sentence():
+        app()

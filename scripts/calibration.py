@@ -1,0 +1,97 @@
+"""What a wrong calibration costs in flights rendered through a lens, and what recordings show of such a lens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+from one_sentence import one_sentence
+from pages import save_table
+
+import fvslam_graph
+from fvslam_graph.core.camera import Distortion
+from fvslam_graph.core.sequence import Sequence
+from fvslam_graph.evaluation.tables import Table
+from fvslam_graph.runs.results import Run
+from fvslam_graph.sequences.open import open_sequence
+from fvslam_graph.vo.distortion import measure_distortion
+
+WORLD = "synthetic:uav?frames=200"  # one flight, one seed; drives and other flights are left out
+LENSES = ((0.0, 0.0), (0.02, 0.0), (0.02, 0.03), (-0.02, -0.03))  # k1, and what the file's focal length is off
+MODES = ("vo", "average", "graph")
+
+Out = Annotated[Path, typer.Option(help="Folder for the table.")]
+OUT = Path("runs") / "calibration"
+
+app = typer.Typer()
+
+
+@app.command()
+def lens(out: Out = OUT) -> None:
+    """Make a table: APE with and without `vo.calibrate` of a flight through each lens, and what the graph finds."""
+    cv2.setNumThreads(1)
+    world = open_sequence(WORLD)
+    rows = [[_named(*lens), *_cells(_through(world, *lens), world.camera.fx)] for lens in LENSES]
+    columns = ("lens", *MODES, "k1 at the end", "focal length off (%)")
+    caption = f"{WORLD}, APE after Sim(3) (m), one seed; in brackets without `vo.calibrate`."
+    save_table(out, "lens", Table(columns, rows, caption=caption))
+
+
+@app.command()
+def residual(paths: Annotated[list[str], typer.Argument(help="Recordings.")], out: Out = OUT) -> None:
+    """Make a table of the k1 that the calibration of each recording has left, by the tracks of odometry."""
+    cv2.setNumThreads(1)
+    rows = []
+    for path in paths:
+        k1, sigma = measure_distortion(open_sequence(path))
+        rows.append([path if path.startswith("synthetic:") else Path(path).name, f"{k1:.4f}", f"{sigma:.4f}"])
+    save_table(out, "k1", Table(("recording", "k1", "standard deviation"), rows))
+
+
+def _named(k1: float, focal: float) -> str:
+    parts = [f"k1 = {k1:g}"] * bool(k1) + [f"focal length {focal:+.0%}"] * bool(focal)
+    return ", ".join(parts) or "as the file says"
+
+
+def _through(world: Sequence, k1: float, focal: float) -> Sequence:
+    """The world as a lens with k1 shows it, with a file that says nothing of k1 and another focal length."""
+    camera, images = world.camera, [frame.image for frame in world]
+    if k1:
+        bent = replace(camera, distortion=Distortion.RADTAN, coefficients=(k1, 0, 0, 0))
+        v, u = np.mgrid[: camera.height, : camera.width]
+        rays = bent.normalize(np.column_stack([u.ravel(), v.ravel()]).astype(float))
+        seen = camera.project(np.column_stack([rays, np.ones(len(rays))])).astype(np.float32)
+        where = seen.reshape(camera.height, camera.width, 2)
+        images = [
+            cv2.remap(image, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            for image in images
+            if image is not None
+        ]
+    filed = replace(camera, fx=camera.fx * (1 + focal), fy=camera.fy * (1 + focal))
+    return replace(world, camera=filed, load=images.__getitem__, source=None)
+
+
+def _cells(sequence: Sequence, true_focal_length: float) -> Iterator[str]:
+    for mode in MODES:
+        run = fvslam_graph.run(sequence, mode)
+        without = fvslam_graph.run(sequence, mode, settings={"vo.calibrate": False})
+        yield f"{_ape(run):.2g} ({_ape(without):.2g})"
+    found = run.info["calibration"]  # of the graph, which is the last one
+    yield f"{found['k1']:.4f} +- {found['k1_sigma']:.4f}"
+    off, sigma = found["focal_length"] / true_focal_length - 1, found["focal_sigma"] / true_focal_length
+    yield f"{100 * off:.1f} +- {100 * sigma:.1f}"
+
+
+def _ape(run: Run) -> float:
+    rmse: float = fvslam_graph.evaluate(run, align="sim3").errors["ape_trans"].stats["rmse"]
+    return rmse
+
+
+if __name__ == "__main__":
+    with one_sentence():
+        app()
