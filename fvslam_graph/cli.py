@@ -192,7 +192,8 @@ def run(
     sequence = _with_sensors(sequence, ground_plane, altimeter, gnss, gnss_sigma, chosen.seed)
     folder = out or Path("runs") / f"{file_name(sequence.name)}-{file_name(chosen.mode)}-{chosen.preset}"
     said = _run(sequence, chosen, folder, rerun)
-    typer.echo(f"{said}; next: fvslam evaluate {folder}; fvslam plot {folder}")
+    judged = f"fvslam evaluate {folder}" if sequence.ground_truth is not None else f"fvslam export {folder} --to csv"
+    typer.echo(f"{said}; next: {judged}; fvslam plot {folder}")
 
 
 @app.command()
@@ -528,6 +529,7 @@ def distortion(
     stride: Stride = 1,
     camera_k1: CameraK1 = None,
     topic: ImageTopic = None,
+    fov: Fov = None,
 ) -> None:
     """Measure the radial distortion (k1) that the calibration has left in the images, by tracks of odometry.
 
@@ -536,7 +538,7 @@ def distortion(
     from fvslam_graph.sequences.open import open_sequence
     from fvslam_graph.vo.distortion import measure_distortion
 
-    sequence = open_sequence(path, frames=frames, stride=stride, camera_k1=camera_k1, topic=topic)
+    sequence = open_sequence(path, frames=frames, stride=stride, camera_k1=camera_k1, topic=topic, fov=fov)
     k1, sigma = measure_distortion(sequence)
     typer.echo(f"k1 = {k1:.4f} +- {sigma:.4f} (standard deviation)")
 

@@ -51,6 +51,13 @@ def test_run_evaluate_and_plot(drive, tmp_path, fvslam):
     assert all((folder / name).stat().st_size > 1000 for name in names)
 
 
+def test_what_can_be_done_next_without_ground_truth(drive, tmp_path, fvslam):
+    recording, folder = tmp_path / "drive", tmp_path / "run"
+    shutil.copytree(drive, recording, ignore=shutil.ignore_patterns("groundtruth.tum"))
+    code, out, _ = fvslam("run", recording, "--frames", ":3", "--out", folder)
+    assert code == 0 and out.endswith(f"; next: fvslam export {folder} --to csv; fvslam plot {folder}\n")
+
+
 def test_options_reach_the_run(drive, tmp_path, fvslam):
     settings = tmp_path / "settings.yaml"
     settings.write_text("features: {count: 300, spacing: 5}\n")

@@ -3,12 +3,15 @@
 import inspect
 import pkgutil
 import re
+import shlex
 import sys
 from pathlib import Path
 
 import pytest
+import typer
 
 import fvslam_graph
+from fvslam_graph.cli import app
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "scripts"))
@@ -19,6 +22,11 @@ SNIPPETS = [
     pytest.param(page, code, id=f"{page.stem}-{number}")
     for page in PAGES
     for number, code in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL))
+]
+COMMANDS = [
+    pytest.param(command, id=f"{page.stem}-{number}")
+    for page in PAGES
+    for number, command in enumerate(re.findall(r"^(?: {4})?fvslam (.*)$", page.read_text(), re.MULTILINE))
 ]
 REFERENCE = "".join(page.read_text() for page in PAGES if page.parent.name == "reference")
 
@@ -44,5 +52,18 @@ def test_python_of_a_page_compiles_and_imports_what_there_is(page, code):
     exec("\n".join(imports), {})
 
 
-def test_there_are_snippets():
-    assert len(SNIPPETS) >= 5
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_of_a_page_have_the_options_that_it_gives_them(command):
+    words = shlex.split(re.sub(r"[][|]", "", command), comments=True)
+    main = typer.main.get_command(app)
+    for word in words:
+        found = getattr(main, "commands", {}).get(word)
+        if found is None:
+            break
+        main, words = found, words[1:]
+    known = {option for parameter in main.params for option in parameter.opts}
+    assert main.name != "fvslam" and {word for word in words if word.startswith("--")} <= known
+
+
+def test_there_are_snippets_and_commands():
+    assert len(SNIPPETS) >= 5 and len(COMMANDS) >= 20

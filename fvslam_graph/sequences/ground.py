@@ -17,6 +17,8 @@ CAR_TILT = 0.01  # a car pitches on its springs, and the mounting is not quite l
 GIVEN_TILT = 0.05  # the user knows the mounting; the vehicle still moves
 UAV_TILT = 0.3  # a multirotor tilts to accelerate, and its attitude is not known
 
+STRAIGHT_DOWN = 1.571  # rad, as pi/2 is written by hand
+
 KITTI_CAMERA_HEIGHT = 1.65  # metres above the road (Geiger et al. 2013, Fig. 3)
 
 
@@ -83,7 +85,7 @@ def given_ground(
     """
     if height is not None and not 0 < height < np.inf:
         raise SequenceError(f"the camera height must be a positive number of metres, not {height:g}")
-    if pitch is not None and not abs(pitch) <= np.pi / 2:
+    if pitch is not None and not abs(pitch) <= STRAIGHT_DOWN:
         raise SequenceError(f"the camera pitch must be between -pi/2 and pi/2 radians, not {pitch:g}")
 
     ground = known

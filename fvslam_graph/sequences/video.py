@@ -71,7 +71,7 @@ def _beside(path: Path) -> tuple[Calibration, Path]:
     if source is None:
         raise CameraError(
             f"{path} has no calibration beside it: write {candidates[0].name} or {candidates[1].name}, "
-            "or give the field of view"
+            "or give the field of view (--fov DEGREES)"
         )
     return read_calibration(source), source
 

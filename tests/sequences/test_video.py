@@ -141,7 +141,7 @@ def test_errors(flight):
     calibration.unlink()
     with pytest.raises(
         CameraError,
-        match=r"flight\.mp4 has no calibration beside it: write flight\.yaml or camera\.yaml, or give the fi",
+        match=r"flight\.mp4 has no calibration beside it: .* or give the field of view \(--fov DEGREES\)",
     ):
         open_sequence(flight)
     calibration.write_text(CAMERA)
