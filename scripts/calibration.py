@@ -55,7 +55,7 @@ def residual(paths: Annotated[list[str], typer.Argument(help="Recordings.")], ou
 
 def _named(k1: float, focal: float) -> str:
     parts = [f"k1 = {k1:g}"] * bool(k1) + [f"focal length {focal:+.0%}"] * bool(focal)
-    return ", ".join(parts) or "as the file says"
+    return ", ".join(parts).replace("%", " %") or "as the file says"
 
 
 def _through(world: Sequence, k1: float, focal: float) -> Sequence:
@@ -80,7 +80,7 @@ def _cells(sequence: Sequence, true_focal_length: float) -> Iterator[str]:
     for mode in MODES:
         run = fvslam_graph.run(sequence, mode)
         without = fvslam_graph.run(sequence, mode, settings={"vo.calibrate": False})
-        yield f"{_ape(run):.2g} ({_ape(without):.2g})"
+        yield f"{_ape(run):#.2g} ({_ape(without):#.2g})"
     found = run.info["calibration"]  # of the graph, which is the last one
     yield f"{found['k1']:.4f} +- {found['k1_sigma']:.4f}"
     off, sigma = found["focal_length"] / true_focal_length - 1, found["focal_sigma"] / true_focal_length

@@ -55,7 +55,7 @@ def pivot(
     if where is not None:
         key, value = where.split("=", 1)
         lines = [line for line in lines if line[key] == value]
-    cells = {(" ".join(line[name] for name in row), line[column]): _cell(line, cell) for line in lines}
+    cells = {(" ".join(line[name] for name in row).strip(), line[column]): _cell(line, cell) for line in lines}
     down, across = (list(dict.fromkeys(names)) for names in zip(*cells, strict=True))
     rows = [[one, *(cells.get((one, other), "") for other in across)] for one in down]
     save_table(out, name, Table((" ".join(row), *across), rows))

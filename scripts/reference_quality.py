@@ -43,7 +43,7 @@ def _row(path: str) -> list[str]:
         f"{1000 * quality.position:.2g}",
         f"{1000 * quality.rotation:.2g}",
         f"{np.degrees(quality.tilt):.2g}",
-        f"{nees['pose'].added:.2g}",
+        f"{nees['pose'].added:.1f}",
         *judged,
     ]
 
