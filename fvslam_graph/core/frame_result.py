@@ -35,16 +35,31 @@ class CalibrationEstimate:
 
 
 @dataclass(frozen=True)
+class ClockEstimate:
+    """How far the clock of a receiver is off.
+
+    Attributes:
+        offset: What is to be added to its stamps to have those of the images, seconds.
+        sigma: Its standard deviation.
+    """
+
+    offset: float
+    sigma: float
+
+
+@dataclass(frozen=True)
 class EarthPlacement:
     """Where the world of a run is on Earth.
 
     Attributes:
         origin: (3,) latitude, longitude (degrees, WGS84) and altitude (m) of the place.
         enu_T_world: From the world to east, north, up at this place, metres; with its covariance.
+        clock: How far that of the fixes is off.
     """
 
     origin: NDArray[np.float64]
     enu_T_world: GaussianPose
+    clock: ClockEstimate
 
 
 @dataclass(frozen=True)

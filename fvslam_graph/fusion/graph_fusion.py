@@ -134,10 +134,12 @@ class GraphFusion(Fusion):
 
     def _placement(self) -> EarthPlacement | None:
         try:
-            enu_T_world = self.graph.enu_T_world()
+            enu_T_world, clock = self.graph.enu_T_world(), self.graph.clock
         except (EstimationError, RuntimeError):  # as which GTSAM's exceptions arrive
             return None
-        return None if self._earth is None or enu_T_world is None else EarthPlacement(self._earth.origin, enu_T_world)
+        if self._earth is None or enu_T_world is None or clock is None:
+            return None
+        return EarthPlacement(self._earth.origin, enu_T_world, clock)
 
     def _calibration(self) -> CalibrationEstimate | None:
         try:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
-from fvslam_graph.core.frame_result import CalibrationEstimate
+from fvslam_graph.core.frame_result import CalibrationEstimate, ClockEstimate
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.slam_estimate import LandmarkObservations
@@ -25,6 +25,7 @@ from fvslam_graph.graph.calibration import (
 )
 from fvslam_graph.graph.export import write_graph
 from fvslam_graph.graph.factors import (
+    CLOCK,
     ENU,
     SHORT,
     LandmarkFactors,
@@ -39,11 +40,12 @@ from fvslam_graph.graph.factors import (
     pose_factor,
     pose_key,
 )
+from fvslam_graph.graph.fix_factors import GraphFix, KnownPath
 from fvslam_graph.graph.gating import contradiction
 from fvslam_graph.graph.landmark_candidates import LandmarkCandidates, LandmarkObservation
 from fvslam_graph.graph.pending_update import PendingUpdate
 from fvslam_graph.graph.pixel_noise import PixelNoise
-from fvslam_graph.graph.positions import GraphFix, Positions
+from fvslam_graph.graph.positions import Positions
 from fvslam_graph.graph.scale_chain import ScaleChain
 from fvslam_graph.graph.solver import Solver
 
@@ -127,12 +129,8 @@ class Graph:
         self.add(gravity_factor(frame, self._down, down))
 
     def add_position(self, stamp: float, enu: Array, sigmas: Array) -> None:
-        """A position east, north, up (3,), metres, between the last two frames, with its standard deviations."""
-        frame, lever = len(self._poses) - 1, np.zeros(3)
-        if frame > 0:
-            share = (self._stamps[-1] - stamp) / (self._stamps[-1] - self._stamps[-2])
-            lever = share * self._poses[frame].transformTo(self._poses[frame - 1].translation())
-        self._positions.add(GraphFix(frame, enu, sigmas, lever))
+        """A position east, north, up (3,), metres, with its standard deviations and its time by the receiver."""
+        self._positions.add(GraphFix(stamp, enu, sigmas))
 
     def add_calibration(self, evidence: CalibrationEvidence) -> None:
         """What images say of the calibration of the file, apart from the motions and landmarks of this graph."""
@@ -154,7 +152,7 @@ class Graph:
         """
         index = len(self._poses) - 1
         self._take_motions(observations)
-        if self._positions.take(self._poses, self.world_T_enu):
+        if self._take_positions():
             self._keep_kernels_right()
         if observations is not None and self.settings.landmarks != "none":
             self._see(index, observations)
@@ -176,10 +174,7 @@ class Graph:
 
     def positions(self, frames: list[int]) -> Array:
         """Where the camera was in N frames as known now, (N, 3) in the world, metres."""
-        for frame in frames:
-            if self.has(frame):
-                self._poses[frame] = self.solver.pose(pose_key(frame))
-        return np.array([self._poses[frame].translation() for frame in frames])
+        return np.array([self._pose(frame).translation() for frame in frames])
 
     @property
     def world_T_enu(self) -> gtsam.Pose3 | None:
@@ -197,6 +192,13 @@ class Graph:
         if self.world_T_enu is None or not self.has(frame):
             return None
         return _motion(self.solver, ENU, pose_key(frame), self.world_T_enu, self._poses[frame])
+
+    @property
+    def clock(self) -> ClockEstimate | None:
+        """How far the clock of the fixes is off; None before they tell where the world is."""
+        if not self.solver.has(CLOCK):
+            return None
+        return ClockEstimate(self.solver.number(CLOCK), math.sqrt(self.solver.covariance(CLOCK)[0, 0]))
 
     @property
     def frames(self) -> int:
@@ -220,10 +222,12 @@ class Graph:
         """
         try:
             self._take_motions(None)
-            self._positions.take(self._poses, self.world_T_enu)
+            self._take_positions()
             if self._update.factors.size():
                 self._solve()
             self.solver.optimize()
+            if self.settings.lag is None:
+                self._time_again()
             estimate = self.solver.values()
         except (RuntimeError, ValueError, IndexError) as error:  # as which GTSAM's exceptions arrive
             raise EstimationError(f"the factor graph cannot be solved: {' '.join(str(error).split())}") from None
@@ -236,6 +240,12 @@ class Graph:
         """Write the graph into a folder, see `write_graph`."""
         estimate = self.solver.values()
         write_graph(folder, self.solver.factors(), estimate, self._scales.lengths(estimate))
+
+    def _pose(self, frame: int) -> gtsam.Pose3:
+        """Where the camera was in a frame, as known now."""
+        if self.has(frame):
+            self._poses[frame] = self.solver.pose(pose_key(frame))
+        return self._poses[frame]
 
     def _take_motions(self, observations: LandmarkObservations | None) -> None:
         """Append what odometry says since the last fusion.
@@ -257,9 +267,26 @@ class Graph:
                 motion = GaussianPose(_between(self._poses[step.previous], self._poses[index]), doubt)
                 self._moves[index] = OdometryStep(step.previous, motion)
         for index, step in self._moves.items():
-            self._update.insert(pose_key(index), self._linearised(step.previous).compose(step.prev_T_cur.mean))
+            start = self._update.linearised(pose_key(step.previous))
+            self._update.insert(pose_key(index), start.compose(step.prev_T_cur.mean))
             self._move(index, step)
         self._moves = {}
+
+    def _take_positions(self) -> bool:
+        """Append what fixes say; whether they say anything."""
+        return self._positions.take(KnownPath(self._stamps, self._pose), self.world_T_enu, self._clock_offset)
+
+    @property
+    def _clock_offset(self) -> float:
+        return self.solver.number(CLOCK) if self.solver.has(CLOCK) else 0.0
+
+    def _time_again(self) -> None:
+        """Take in fixes at the times that the clock tells now, about which the camera moves evenly."""
+        if keys := self._positions.release(self._clock_offset):
+            self._take_positions()
+            self.solver.forget(keys)
+            self._solve()
+            self.solver.optimize()
 
     def _contradiction(self, index: int, observations: LandmarkObservations | None) -> GaussianPose | None:
         """Where landmarks have the camera, if motions that were not taken in yet do not lead there.
@@ -296,7 +323,7 @@ class Graph:
             sigma = math.sqrt(float(travel @ motion.covariance[3:, 3:] @ travel))
             self.add(length_factor(step.previous, index, length, sigma))
         if self.settings.odometry == "between" and self._update.has(CALIBRATION) and step.J_calibration.any():
-            step, start = replace(step, prev_T_cur=motion), self._linearised(index)
+            step, start = replace(step, prev_T_cur=motion), self._update.linearised(pose_key(index))
             calibration = self._landmark_factors.calibration
             for factor in calibrated_motion_factors(index, step, self.settings, calibration, start, length=not told):
                 self.add(factor)
@@ -322,7 +349,8 @@ class Graph:
                 seen = [(view.frame, view.pixel) for view in candidate.observations]
                 self.add(self._landmark_factors.smart(seen, self._noise.sigma, self._counts[index]))
                 continue
-            point = self._linearised(index).transformFrom(self._poses[index].transformTo(candidate.position))
+            seen_at = self._poses[index].transformTo(candidate.position)
+            point = self._update.linearised(pose_key(index)).transformFrom(seen_at)
             self._update.insert(landmark_key(candidate.landmark), point)
             for view in candidate.observations:
                 self._observe(candidate.landmark, view)
@@ -356,17 +384,9 @@ class Graph:
             self.add(self._landmark_factors.bearing_range(view.frame, landmark, view.point, view.covariance))
         self._update.stamps[landmark_key(landmark)] = self._stamps[-1]
 
-    def _linearised(self, frame: int) -> gtsam.Pose3:
-        """The pose where the factors of a frame are linearised.
-
-        New variables begin relative to it, not to the estimate: until it is linearised again, the path may have moved
-        by more than the step that is added to it.
-        """
-        key = pose_key(frame)
-        return self._update.values.atPose3(key) if self._update.values.exists(key) else self.solver.linearised(key)
-
     def _solve(self) -> None:
-        for lasting in filter(self._update.has, (CALIBRATION, ENU)):
+        newest = pose_key(len(self._stamps) - 1)
+        for lasting in filter(self._update.has, (CALIBRATION, ENU, CLOCK, newest)):
             self._update.stamps[lasting] = self._stamps[-1]  # within any lag
         self._update.solve()
         if self.solver.has(CALIBRATION):

@@ -23,6 +23,7 @@ TIGHT = (
     1e-3  # share of its covariance that a motion gets for being told in two steps: what is exact, solvers do not like
 )
 ENU = int(gtsam.symbol("e", 0))  # the key of world_T_enu, where east, north, up at a place on Earth is in the world
+CLOCK = int(gtsam.symbol("t", 0))  # the key of what is added to the stamps of fixes to have those of images, seconds
 SHORT = 1e-3  # metres; shorter motions have no direction that could be told, nor a length along it
 
 _KERNELS: dict[str, Callable[[float], gtsam.noiseModel.mEstimator.Base]] = {
@@ -40,6 +41,16 @@ def pose_key(frame: int) -> int:
 def filed_key(frame: int) -> int:
     """The key of where the motion to a frame would have led by the calibration of the file."""
     return int(gtsam.symbol("y", frame))
+
+
+def fix_key(number: int) -> int:
+    """The key of the camera's pose world_T_camera at the time of a fix."""
+    return int(gtsam.symbol("g", number))
+
+
+def is_at_fix(key: int) -> bool:
+    """Whether a variable is such a pose."""
+    return bool(gtsam.Symbol(key).chr() == ord("g"))
 
 
 def is_filed(key: int) -> bool:

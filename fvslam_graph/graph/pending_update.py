@@ -37,6 +37,14 @@ class PendingUpdate:
         """Whether a variable is in the graph, or about to enter it."""
         return bool(self.values.exists(key) or self._solver.has(key))
 
+    def linearised(self, key: int) -> gtsam.Pose3:
+        """The pose where the factors of a variable are linearised.
+
+        New variables begin relative to it, not to the estimate: until it is linearised again, the path may have moved
+        by more than the step that is added to it.
+        """
+        return self.values.atPose3(key) if self.values.exists(key) else self._solver.linearised(key)
+
     def solve(self) -> None:
         """Hand all to the solver, once, also where it cannot be solved."""
         batch = self.factors, self.values, self.stamps

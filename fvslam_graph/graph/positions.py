@@ -1,43 +1,32 @@
-"""Positions by a GNSS receiver in the graph: where the world is on Earth is one more variable."""
+"""Positions by a GNSS receiver in the graph: where the world is on Earth is one more variable, and so is its clock."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.graph.alignment import align
-from fvslam_graph.graph.factors import ENU, pose_key, robust
+from fvslam_graph.graph.factors import CLOCK, ENU, fix_key, pose_key
+from fvslam_graph.graph.fix_factors import (
+    MIN_SIGMA,
+    GraphFix,
+    KnownPath,
+    Moment,
+    clock_prior,
+    moment_factor,
+    place_factor,
+)
 from fvslam_graph.graph.pending_update import PendingUpdate
 
-Array = NDArray[np.float64]
-
-MIN_SIGMA = 0.05  # metres; a receiver errs by that much beyond what it says, by its antenna and the clock
+MAX_CLOCK_SHIFT = 0.05  # seconds, about which a camera moves evenly
 UP_SIGMA = 0.1  # rad, by which level ground departs from the horizon
 UNKNOWN_UP_SIGMA = 1.0  # rad, where no ground is known: cameras are level rather than upside down
 ALIGNMENT_SIGMAS = np.repeat([1.0, 1e3], 3)  # rad, m, of the first alignment: what a straight path leaves open is held
-
-
-@dataclass(frozen=True)
-class GraphFix:
-    """A position as the graph takes it.
-
-    Attributes:
-        frame: The first one after it.
-        enu: (3,) east, north, up, metres.
-        sigmas: (3,) its standard deviations.
-        lever: (3,) where the camera was at that time, in the camera at the frame, metres.
-    """
-
-    frame: int
-    enu: Array
-    sigmas: Array
-    lever: Array
 
 
 class Positions:
@@ -60,69 +49,83 @@ class Positions:
         self._waiting: list[GraphFix] = []
         self.least_sigma = math.inf
         self._tried = 0  # fixes that did not suffice
+        self._taken: list[tuple[GraphFix, float]] = []  # with the offset of the clock by which it was
 
     def add(self, fix: GraphFix) -> None:
         """Take in a fix."""
         self._waiting.append(fix)
 
-    def take(self, poses: list[gtsam.Pose3], world_T_enu: gtsam.Pose3 | None) -> bool:
-        """Append the fixes that wait, if it is known where the world is.
+    def take(self, path: KnownPath, world_T_enu: gtsam.Pose3 | None, offset: float) -> bool:
+        """Append the fixes that wait, if it is known where the world is, and the path reaches to their time.
 
         Args:
-            poses: Of all frames, as known now.
-            world_T_enu: Likewise; None before the graph has it.
+            path: With the frames of the update.
+            world_T_enu: As known now; None before the graph has it.
+            offset: Of the clock, seconds, likewise.
 
         Returns:
             Whether there were any.
         """
-        self._waiting = [fix for fix in self._waiting if self._update.has(pose_key(fix.frame))]  # not beyond the lag
+        if world_T_enu is None and len(self._waiting) == self._tried:
+            return False
+        moments = [(fix, path.at(fix.stamp + offset)) for fix in self._waiting]
+        early = [fix for fix, moment in moments if moment is None]
+        known = [(fix, moment) for fix, moment in moments if moment is not None and self._within(moment)]
         if world_T_enu is None:
-            if len(self._waiting) == self._tried:
-                return False
+            self._waiting = early + [fix for fix, _ in known]
             self._tried = len(self._waiting)
-            world_T_enu = self._begin(poses)
+            world_T_enu = self._begin(known, path)
             if world_T_enu is None:
                 return False
-        for fix in self._waiting:
-            rotation = world_T_enu.rotation().between(poses[fix.frame].rotation())
-            self._update.add(enu_factor(fix, rotation, self._settings))
-            self.least_sigma = min(self.least_sigma, max(float(fix.sigmas.min()), MIN_SIGMA))
-        taken, self._waiting = bool(self._waiting), []
-        return taken
+        for fix, moment in known:
+            self._append(fix, moment, offset, world_T_enu)
+        self._waiting = early
+        return bool(known)
 
-    def _begin(self, poses: list[gtsam.Pose3]) -> gtsam.Pose3 | None:
-        """The first alignment, as a variable with what is known of it besides the fixes."""
-        fixes = self._waiting
-        path = np.array([poses[fix.frame].transformFrom(fix.lever) for fix in fixes]).reshape(-1, 3)
-        enu = np.array([fix.enu for fix in fixes]).reshape(-1, 3)
-        sigmas = np.array([math.sqrt((fix.sigmas**2).mean()) for fix in fixes])
-        enu_T_world = align(path, enu, np.maximum(sigmas, MIN_SIGMA), self._up, self._up_sigma)
+    def release(self, offset: float) -> set[int]:
+        """Have all fixes wait again, if some were taken in by a clock whose offset was another one, seconds.
+
+        Returns:
+            The keys of all of them, which are to be forgotten.
+        """
+        if all(abs(offset - before) < MAX_CLOCK_SHIFT for _, before in self._taken):
+            return set()
+        keys = set(map(fix_key, range(len(self._taken))))
+        self._waiting = [fix for fix, _ in self._taken] + self._waiting
+        self._taken = []
+        return keys
+
+    def _within(self, moment: Moment) -> bool:
+        """Whether the frames on both sides are not beyond the lag."""
+        return self._update.has(pose_key(moment.frame)) and self._update.has(pose_key(moment.frame - 1))
+
+    def _append(self, fix: GraphFix, moment: Moment, offset: float, world_T_enu: gtsam.Pose3) -> None:
+        key, frame = fix_key(len(self._taken)), pose_key(moment.frame)
+        start = self._update.linearised(frame)
+        there = start.compose(moment.frame_T_camera)
+        sigma = max(float(fix.sigmas.min()), MIN_SIGMA)
+        self._update.insert(key, there)
+        self._update.stamps[key] = moment.stamp
+        self._update.add(place_factor(key, fix, world_T_enu.rotation().between(there.rotation()), self._settings))
+        self._update.add(moment_factor(key, moment, offset, start, sigma))
+        self._taken.append((fix, offset))
+        self.least_sigma = min(self.least_sigma, sigma)
+
+    def _begin(self, known: Sequence[tuple[GraphFix, Moment]], path: KnownPath) -> gtsam.Pose3 | None:
+        """The first alignment, as a variable with what is known of it besides the fixes; and the clock."""
+        at = [path.pose(moment.frame).transformFrom(moment.frame_T_camera.translation()) for _, moment in known]
+        enu = np.array([fix.enu for fix, _ in known]).reshape(-1, 3)
+        sigmas = np.array([math.sqrt((fix.sigmas**2).mean()) for fix, _ in known])
+        up, up_sigma = self._up, self._up_sigma
+        enu_T_world = align(np.array(at).reshape(-1, 3), enu, np.maximum(sigmas, MIN_SIGMA), up, up_sigma)
         if enu_T_world is None:
             return None
         world_T_enu = enu_T_world.inverse()
         self._update.insert(ENU, world_T_enu)
         prior = gtsam.noiseModel.Diagonal.Sigmas(ALIGNMENT_SIGMAS)
         self._update.add(gtsam.PriorFactorPose3(ENU, world_T_enu, prior))
-        level = gtsam.noiseModel.Isotropic.Sigma(2, self._up_sigma)
-        self._update.add(gtsam.AttitudeFactorPose3(ENU, gtsam.Unit3(self._up), level, gtsam.Unit3(0.0, 0.0, 1.0)))
+        level = gtsam.noiseModel.Isotropic.Sigma(2, up_sigma)
+        self._update.add(gtsam.AttitudeFactorPose3(ENU, gtsam.Unit3(up), level, gtsam.Unit3(0.0, 0.0, 1.0)))
+        self._update.insert(CLOCK, 0.0)
+        self._update.add(clock_prior(self._settings))
         return world_T_enu
-
-
-def enu_factor(fix: GraphFix, enu_R_camera: gtsam.Rot3, settings: GraphSettings) -> gtsam.NonlinearFactor:
-    """The camera's position east, north, up, at the time of a fix.
-
-    It is a motion from the origin on Earth to the camera, of which only the position counts. What its rotation misses
-    by, a few degrees as a rule, turns the lever alone, which is as long as the way between two frames.
-
-    Args:
-        fix: The position.
-        enu_R_camera: About.
-        settings: How robust.
-    """
-    seen = gtsam.Pose3(enu_R_camera, fix.enu - enu_R_camera.rotate(fix.lever))
-    root = np.zeros((6, 6))
-    at_lever = np.hstack([-gtsam.Rot3.Hat(fix.lever), np.eye(3)])
-    root[:3] = enu_R_camera.matrix() @ at_lever / np.maximum(fix.sigmas, MIN_SIGMA)[:, None]
-    noise = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
-    numbers = math.sqrt(3 / noise.dim())  # of the noise, half tell nothing
-    return gtsam.BetweenFactorPose3(ENU, pose_key(fix.frame), seen, robust(noise, settings, numbers))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.graph.calibration import CALIBRATION, is_camera
-from fvslam_graph.graph.factors import ENU, is_filed, is_landmark, is_pose
+from fvslam_graph.graph.factors import CLOCK, ENU, is_at_fix, is_filed, is_landmark, is_pose
 from fvslam_graph.graph.marginalization import Marginalization, astray
 
 _log = logging.getLogger(__name__)
@@ -23,6 +23,7 @@ WEAK_PRIOR_SIGMA = 10.0  # rad, m, of a logarithm: a prior that determines a var
 ANCHOR_SIGMA = 1e-3  # rad and m: the oldest pose within a lag, where what was before is lost
 RELINEARIZE_ROTATION = 1e-3  # rad; a pose that turns by more is linearised again
 RELINEARIZE_CALIBRATION = 1e-4  # of a coefficient of distortion, and of 1000 pixels of focal length, likewise
+RELINEARIZE_CLOCK = 0.01  # seconds, likewise
 RELINEARIZE_NEVER = 10**9  # updates
 RELINEARIZE_GROWTH = 0.1  # by what share the number of updates grows until what has moved is linearised again
 MARGINALIZE_AFTER = 10  # updates with other landmarks, after which one that was not seen again is marginalized
@@ -80,14 +81,13 @@ class Solver:
             return
         try:
             optimum = gtsam.LevenbergMarquardtOptimizer(self.factors(), self.values()).optimize()
-            lost = astray(self.factors(), optimum)
-            self._remove(lost.__contains__)
-            for key in lost:
-                optimum.erase(key)
-            self._begin()
-            self._take(self.factors(), optimum)
+            self._begin_without(astray(self.factors(), optimum), optimum)
         except RuntimeError as error:
             self._recover(error)
+
+    def forget(self, keys: set[int]) -> None:
+        """Do without some variables, and all that is known of them; not within a lag."""
+        self._begin_without(keys, self.values())
 
     def linearise_again(self) -> None:
         """Have the next update linearise again what has moved; within a lag every one does."""
@@ -123,6 +123,10 @@ class Solver:
     def calibration(self) -> gtsam.Cal3Bundler:
         """The estimate of the camera's calibration."""
         return self._solver.calculateEstimateCal3Bundler(CALIBRATION)
+
+    def number(self, key: int) -> float:
+        """The estimate of a number."""
+        return float(self._solver.calculateEstimateDouble(key))
 
     def point(self, key: int) -> NDArray[np.float64]:
         """The estimate of a point (3,)."""
@@ -160,15 +164,24 @@ class Solver:
         self._solver = self._empty()
         self._marginalization = Marginalization()
 
+    def _begin_without(self, gone: set[int], values: gtsam.Values) -> None:
+        """A new solver, at these values, without some of the variables."""
+        self._remove(gone.__contains__)
+        for key in gone:
+            values.erase(key)
+        self._begin()
+        self._take(self.factors(), values)
+
     def _empty(self) -> gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother:
         parameters = gtsam.ISAM2Params()
         thresholds = gtsam.ISAM2ThresholdMap()
-        for pose in ("x", "y", "e"):
+        for pose in ("x", "y", "g", "e"):
             thresholds.insert((pose, np.repeat([RELINEARIZE_ROTATION, self._settings.relinearise], 3)))
         thresholds.insert(
             ("c", np.array([RELINEARIZE_CALIBRATION * 1e3, RELINEARIZE_CALIBRATION, RELINEARIZE_CALIBRATION]))
         )
         thresholds.insert(("l", np.full(3, self._settings.relinearise)))
+        thresholds.insert(("t", np.full(1, RELINEARIZE_CLOCK)))
         for linear in ("s", "b"):  # what depends on scales is linear
             thresholds.insert((linear, np.ones(1)))
         parameters.setRelinearizeThreshold(thresholds)
@@ -287,11 +300,11 @@ class Solver:
     def _keep_within(self, values: gtsam.Values) -> None:
         """Keep the factors whose variables are all within the lag.
 
-        The oldest pose stays where it is, and the camera and the place on Earth as they are: what held them is beyond
-        the lag.
+        The oldest pose stays where it is, and the camera, the place on Earth and the clock of fixes as they are: what
+        held them is beyond the lag.
         """
         self._remove(lambda key: not values.exists(key))
-        for lasting in filter(values.exists, (CALIBRATION, ENU)):
+        for lasting in filter(values.exists, (CALIBRATION, ENU, CLOCK)):
             self._add(_prior(lasting, values, ANCHOR_SIGMA))
         oldest = min((key for key in values.keys() if is_pose(key)), key=lambda key: self._stamps[key])  # noqa: SIM118
         self._add(_prior(oldest, values, ANCHOR_SIGMA))
@@ -312,7 +325,7 @@ class Solver:
 
 def _prior(key: int, values: gtsam.Values, sigma: float) -> gtsam.NonlinearFactor:
     """That a variable is where it is."""
-    if is_pose(key) or is_filed(key) or key == ENU:
+    if is_pose(key) or is_filed(key) or is_at_fix(key) or key == ENU:
         return gtsam.PriorFactorPose3(key, values.atPose3(key), gtsam.noiseModel.Isotropic.Sigma(6, sigma))
     if key == CALIBRATION:
         return gtsam.PriorFactorCal3Bundler(key, values.atCal3Bundler(key), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
