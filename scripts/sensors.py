@@ -1,8 +1,9 @@
 """What GNSS and an altimeter bring: errors on Earth, consistency and scale, over seeds of the sensors' noise.
 
 `gnss PATH...` adds a simulated receiver to recordings with ground truth. Errors are RMSE of all three axes, in metres;
-`rigid` is that of the true path laid upon the right fixes: of an estimator without drift. `altimeter` flies over
-generated terrain with noisy heights. NEES of positions has an expectation of 3.
+`rigid` is that of the true path laid upon the right fixes, of an estimator without drift: by the right clock, or by the
+one that fits best. `altimeter` flies over generated terrain with noisy heights. NEES of positions has an expectation
+of 3.
 """
 
 import tempfile
@@ -16,7 +17,7 @@ import typer
 from numpy.typing import NDArray
 from one_sentence import one_sentence
 
-from fvslam_graph.core.config import load_config
+from fvslam_graph.core.config import Config, load_config
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.geodesy import LocalFrame
 from fvslam_graph.core.sensors import SensorSeries
@@ -29,7 +30,7 @@ from fvslam_graph.simulation.gnss import OUTLIER, PLACE, SimulatedReceiver, true
 Array = NDArray[np.float64]
 
 HEIGHT_SIGMA, HEIGHT_OUTLIERS, HEIGHT_OFF, HEIGHT_RATE = 0.2, 0.05, 5.0, 7.0  # m, share, m, Hz
-GRAPH = load_config(settings=["mode=graph"])
+OFFSETS = np.arange(-1, 1.005, 0.01)  # seconds of the clock
 
 app = typer.Typer()
 
@@ -39,18 +40,26 @@ def gnss(
     paths: list[str],
     receiver: Annotated[str, typer.Option(help="HZ:SIGMA[:OUTLIERS[:GAP_S]]")] = "1:1.5:0.2:10",
     seeds: int = 5,
+    clock: Annotated[float, typer.Option(help="Seconds that its stamps lack to be those of the images.")] = 0.0,
+    settings: Annotated[str, typer.Option()] = "",
 ) -> None:
     """Errors on Earth of recordings with a simulated receiver."""
-    print("recording, seed: smoothed, online, GNSS alone, rigid; mean NEES online; first placed frame")
+    print(
+        "recording, seed: smoothed, online, GNSS alone, rigid, rigid at a clock of its own; mean NEES online; "
+        "first placed frame; clock and its deviation"
+    )
+    config = load_config(settings=["mode=graph", *settings.split()])
     for path in paths:
         sequence = replace(open_sequence(path), sensors=())
         rows = []
         for seed in range(seeds):
-            rows.append(_gnss_row(sequence, SimulatedReceiver.parse(receiver), seed))
+            fixes = SimulatedReceiver.parse(receiver).fixes(sequence, seed)
+            late = sequence.with_gnss(replace(fixes, stamps=fixes.stamps - clock))
+            rows.append(_gnss_row(late, fixes, config))
             print(f"{sequence.name}, {seed}: " + ", ".join(f"{number:.2f}" for number in rows[-1]), flush=True)
         rms = np.sqrt(np.mean(np.square(rows), axis=0))
-        print(f"{sequence.name}, RMS: " + ", ".join(f"{number:.2f}" for number in rms[:4]))
-        print(f"{sequence.name}, mean NEES {np.mean(rows, axis=0)[4]:.2f}", flush=True)
+        print(f"{sequence.name}, RMS: " + ", ".join(f"{number:.2f}" for number in rms[:5]))
+        print(f"{sequence.name}, mean NEES {np.mean(rows, axis=0)[5]:.2f}", flush=True)
 
 
 @app.command()
@@ -75,12 +84,11 @@ def altimeter(
     print(f"scale error: mean {errors.mean():.4f}, RMS {np.sqrt((errors**2).mean()):.4f}; NEES {np.mean(values):.2f}")
 
 
-def _gnss_row(sequence: Sequence, receiver: SimulatedReceiver, seed: int) -> list[float]:
+def _gnss_row(sequence: Sequence, fixes: SensorSeries, config: Config) -> list[float]:
+    """What a run says, against the truth and the fixes at their right times."""
     truth = sequence.ground_truth
     assert truth is not None
-    fixes = receiver.fixes(sequence, seed)
-    sequence = sequence.with_gnss(fixes)
-    estimator = frame_estimator(sequence, GRAPH)
+    estimator = frame_estimator(sequence, config)
     results = list(through(estimator, sequence))
     ending = estimator.finish()
     assert ending is not None and ending.smoothed is not None and ending.placement is not None
@@ -92,25 +100,37 @@ def _gnss_row(sequence: Sequence, receiver: SimulatedReceiver, seed: int) -> lis
     smoothed = ending.placement.enu_T_world.mean.transformFrom(ending.smoothed.positions.T).T
     pairs = zip(ending.smoothed.stamps.tolist(), smoothed, strict=True)
     measured = place.enu(fixes.values)
-    alone = np.column_stack([np.interp(known.stamps, fixes.stamps, column) for column in measured.T])
+    alone = _along(measured, fixes.stamps, known.stamps)
+    rigid = [_rigid(known.stamps, path, fixes.stamps, measured, offsets) for offsets in (np.zeros(1), OFFSETS)]
     return [
         _rmse([position - true[stamp] for stamp, position in pairs if stamp in true]),
         _rmse([pose.mean.translation() - position for pose, position in online]),
         _rmse(alone - path),
-        _rmse(_rigid(known.stamps, path, fixes.stamps, measured) - path),
+        *(_rmse(laid - path) for laid in rigid),
         float(np.mean([_nees(pose, position) for pose, position in online])),
         float(next(result.index for result in results if result.enu is not None)),
+        ending.placement.clock.offset,
+        ending.placement.clock.sigma,
     ]
 
 
-def _rigid(stamps: Array, path: Array, fix_stamps: Array, fixes: Array) -> Array:
-    """The true path, moved and turned as a whole to fit the fixes that are not wrong."""
-    there = np.column_stack([np.interp(fix_stamps, stamps, column) for column in path.T])
-    good = np.linalg.norm(fixes - there, axis=1) < OUTLIER / 2
-    a, b = there[good].mean(axis=0), fixes[good].mean(axis=0)
-    rotation = gtsam.Rot3.ClosestTo((fixes[good] - b).T @ (there[good] - a)).matrix()
-    laid: Array = (path - a) @ rotation.T + b
-    return laid
+def _rigid(stamps: Array, path: Array, fix_stamps: Array, fixes: Array, offsets: Array) -> Array:
+    """The true path, moved and turned as a whole to fit the fixes that are not wrong, and their clock's offset."""
+    off = np.linalg.norm(fixes - _along(path, stamps, fix_stamps), axis=1)
+    fix_stamps, fixes = fix_stamps[off < OUTLIER / 2], fixes[off < OUTLIER / 2]
+    best, least = path, np.inf
+    for offset in offsets:
+        there = _along(path, stamps, fix_stamps + offset)
+        a, b = there.mean(axis=0), fixes.mean(axis=0)
+        rotation = gtsam.Rot3.ClosestTo((fixes - b).T @ (there - a)).matrix()
+        cost = ((fixes - b - (there - a) @ rotation.T) ** 2).sum()
+        if cost < least:
+            best, least = (path - a) @ rotation.T + b, cost
+    return best
+
+
+def _along(positions: Array, stamps: Array, at: Array) -> Array:
+    return np.column_stack([np.interp(at, stamps, column) for column in positions.T])
 
 
 def _nees(pose: GaussianPose, position: Array) -> float:
