@@ -33,6 +33,8 @@ SAME = 1e-3  # rad between rotations, and ten times that between directions, of 
 CLEARLY = 4.0  # deviations beyond which a match does not count
 MAX_STEP = 0.1  # rad, step of the refinement
 ROUGH = 5  # iterations of PoseLib's refinement, which is done again with all tracks
+MOST = 0.8  # of the tracks; where these agree with the motion that is expected,
+CERTAIN_DIRECTION = 0.002  # rad, and fix the direction of travel as well as this, RANSAC finds nothing else
 RANSAC_TRACKS = 120  # that RANSAC looks at, at least, where there are more
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
@@ -106,22 +108,19 @@ def estimate_relative_pose(
     """
     if len(tracks) < settings.min_inliers:
         return None
-    some = tracks[a_sample(len(tracks))]
-    options = ransac_options(settings.ransac_threshold, settings, seed)
-    found = relative_poses(some.keyframe, some.current, camera, options)
     matches = _MatchedTracks(tracks, MatchedRays.of(camera, tracks), known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
-    starts: list[tuple[gtsam.Pose3, Sequence[int]]] = [(start, WIDTHS) for start in expected]
-    starts += [(start, WIDTHS[FOUND:]) for start in found]
-    fits: list[_Fit] = []
-    for start, widths in starts:
-        if np.linalg.norm(start.translation()) > 0 and (fit := _refine(start, matches, limit, widths, fits)):
-            fits.append(fit)
+    fits = _refined(expected, matches, limit, WIDTHS)
+    if not any(fit.is_beyond_doubt(matches, limit) for fit in fits):
+        some = tracks[a_sample(len(tracks))]
+        options = ransac_options(settings.ransac_threshold, settings, seed)
+        found = relative_poses(some.keyframe, some.current, camera, options)
+        fits += _refined(found, matches, limit, WIDTHS[FOUND:], fits)
     if not fits:
         return None
     noise = min(fit.noise for fit in fits)
     best = min(fits, key=lambda fit: fit.cost(matches, noise)) if len(fits) > 1 else fits[0]
-    inliers = (np.abs(best.distance) < limit) & matches.ahead(best.rotation, best.direction, limit)
+    inliers = best.explained(matches, limit)
     if inliers.sum() < max(settings.min_inliers, settings.min_inlier_share * len(tracks)):
         return None
     told = inliers & (np.abs(best.distance) < CLEARLY * best.noise)
@@ -188,6 +187,20 @@ class _Fit:
         off = np.linalg.norm(self.direction - direction)
         return bool(turned < SAME and off < 10 * SAME)
 
+    def explained(self, matches: _MatchedTracks, limit: float) -> NDArray[np.bool_]:
+        """(N,) which tracks agree within a limit, pixels."""
+        return (np.abs(self.distance) < limit) & matches.ahead(self.rotation, self.direction, limit)
+
+    def is_beyond_doubt(self, matches: _MatchedTracks, limit: float) -> bool:
+        """Whether no other motion can explain the tracks: most agree, and far apart in depth, they fix the direction."""
+        if self.explained(matches, limit).mean() < MOST:
+            return False
+        weight = 1 / (1 + (self.distance / (KERNEL * self.noise)) ** 2)
+        information = self.jacobian.T @ (weight[:, None] * self.jacobian)
+        information[np.diag_indices(5)] += 1e-12
+        variances = self.noise**2 * np.linalg.inv(information)[3:, 3:]
+        return bool(np.trace(variances) < CERTAIN_DIRECTION**2)
+
     def calibration(
         self, matches: _MatchedTracks, told: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], CalibrationEvidence]:
@@ -222,6 +235,21 @@ class _Fit:
             weight = 1 / total / (1 + square / KERNEL**2)
             scale = float((weight * values * expected).sum() / (weight * expected**2).sum())
         return cost + float(np.log1p(square / KERNEL**2).sum())
+
+
+def _refined(
+    starts: Sequence[gtsam.Pose3],
+    matches: _MatchedTracks,
+    limit: float,
+    widths: Sequence[int],
+    known: Sequence[_Fit] = (),
+) -> list[_Fit]:
+    """The relative poses near to others that are none of those known."""
+    fits: list[_Fit] = []
+    for start in starts:
+        if np.linalg.norm(start.translation()) > 0 and (fit := _refine(start, matches, limit, widths, [*known, *fits])):
+            fits.append(fit)
+    return fits
 
 
 def _refine(
