@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass, field, replace
 
@@ -193,14 +193,11 @@ class VisualOdometry:
     ) -> _KeyframeMotion | None:
         """Two views where they tell most, else the map, else what is left; None where nothing fits."""
         far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
-        located = self._locate(tracks, self._map)
-        if not far and located is not None and (motion := self._from_map(tracks, located, self._map)):
+        if not far and (motion := self._from_map(tracks, self._map)):
             return motion
-        if some and (motion := self._from_two_views(frame, tracks, located)):
+        if some and (motion := self._from_two_views(frame, tracks)):
             return motion
-        if far and located is not None:
-            return self._from_map(tracks, located, self._map)
-        return None if far else self._rotation_only(tracks, rotation, parallax)
+        return self._from_map(tracks, self._map) if far else self._rotation_only(tracks, rotation, parallax)
 
     def _gated(self, frame: Frame, motion: _KeyframeMotion) -> _KeyframeMotion | None:
         """The motion with what may be wrong about it; None where the camera can hardly have moved so."""
@@ -254,12 +251,12 @@ class VisualOdometry:
         self._last_stamp, self._failures = frame.stamp, 0
         return replace(self._estimate(frame, motion.keyframe_T_cur, Status.STATIC), tracks=motion.tracks)
 
-    def _from_two_views(self, frame: Frame, tracks: Tracks, located: gtsam.Pose3 | None) -> _KeyframeMotion | None:
+    def _from_two_views(self, frame: Frame, tracks: Tracks) -> _KeyframeMotion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
         assert self._keyframe is not None
         with self._stopwatch.stage("pose"):
             used = self._used(tracks)
-            expected = [located or self._predict(frame).mean]
+            expected = self._expected(frame, tracks)
             relative_pose = estimate_relative_pose(
                 tracks[used], self.camera, self.settings, self._seed(), expected, self._map.depths
             )
@@ -281,6 +278,12 @@ class VisualOdometry:
         pose, evidence = metric_pose(relative_pose, scale.length), relative_pose.evidence
         return _KeyframeMotion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence)
 
+    def _expected(self, frame: Frame, tracks: Tracks) -> Iterator[gtsam.Pose3]:
+        """Where the camera may be: as its motion leads there, and among the points of known depth."""
+        yield self._predict(frame).mean
+        if (located := self._locate(tracks, self._map)) is not None:
+            yield located
+
     def _locate(self, tracks: Tracks, known: MetricMap) -> gtsam.Pose3 | None:
         """Roughly where the camera is among the points of known depth."""
         mine, theirs = known.depths.match(tracks.ids)
@@ -290,8 +293,10 @@ class VisualOdometry:
         with self._stopwatch.stage("pose"):
             return estimate_absolute_pose(points, seen.current, self.camera, self.settings, self._seed())
 
-    def _from_map(self, tracks: Tracks, located: gtsam.Pose3, known: MetricMap) -> _KeyframeMotion | None:
+    def _from_map(self, tracks: Tracks, known: MetricMap) -> _KeyframeMotion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
+        if (located := self._locate(tracks, known)) is None:
+            return None
         used = self._used(tracks)
         with self._stopwatch.stage("pose"):
             seen = rays(self.camera, tracks.keyframe)
@@ -399,8 +404,7 @@ class VisualOdometry:
             tracks = keyframe.tracker.track(frame.image)
         if len(tracks) < MIN_TRACK_RATIO * self.settings.min_inliers:
             return None
-        located = self._locate(tracks, keyframe.map)
-        motion = None if located is None else self._from_map(tracks, located, keyframe.map)
+        motion = self._from_map(tracks, keyframe.map)
         return motion if motion and len(motion.tracks) >= self.settings.keyframe_tracks * len(tracks) else None
 
     def _restart(self, estimate: VoEstimate, frame: Frame) -> VoEstimate:

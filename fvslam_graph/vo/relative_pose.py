@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -88,7 +88,7 @@ def estimate_relative_pose(
     camera: Camera,
     settings: VoSettings,
     seed: int,
-    expected: Sequence[gtsam.Pose3] = (),
+    expected: Iterable[gtsam.Pose3] = (),
     known: InverseDepths | None = None,
 ) -> RelativePose | None:
     """The relative pose that explains best how points move, and what is known of their depths; None without one.
@@ -102,7 +102,7 @@ def estimate_relative_pose(
         camera: Undistorted.
         settings: Thresholds.
         seed: Of the RANSAC.
-        expected: Motions prev_T_cur.
+        expected: Motions prev_T_cur, of which each is asked for only if those before it leave a doubt, as is RANSAC.
         known: Depths of some of the tracks in the previous camera. They choose among the solutions and are no part of
             the chosen one, so that its error has nothing to do with theirs.
     """
@@ -110,12 +110,12 @@ def estimate_relative_pose(
         return None
     matches = _MatchedTracks(tracks, MatchedRays.of(camera, tracks), known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
-    fits = _refined(expected, matches, limit, WIDTHS)
-    if not any(fit.is_beyond_doubt(matches, limit) for fit in fits):
-        some = tracks[a_sample(len(tracks))]
-        options = ransac_options(settings.ransac_threshold, settings, seed)
-        found = relative_poses(some.keyframe, some.current, camera, options)
-        fits += _refined(found, matches, limit, WIDTHS[FOUND:], fits)
+    fits: list[_Fit] = []
+    for start, widths in _starts(tracks, camera, settings, seed, expected):
+        if np.linalg.norm(start.translation()) > 0 and (fit := _refine(start, matches, limit, widths, fits)):
+            fits.append(fit)
+            if fit.is_beyond_doubt(matches, limit):
+                break
     if not fits:
         return None
     noise = min(fit.noise for fit in fits)
@@ -192,7 +192,7 @@ class _Fit:
         return (np.abs(self.distance) < limit) & matches.ahead(self.rotation, self.direction, limit)
 
     def is_beyond_doubt(self, matches: _MatchedTracks, limit: float) -> bool:
-        """Whether no other motion can explain the tracks: most agree, and far apart in depth, they fix the direction."""
+        """Whether no other motion can explain the tracks: most agree, and they fix the direction of travel."""
         if self.explained(matches, limit).mean() < MOST:
             return False
         weight = 1 / (1 + (self.distance / (KERNEL * self.noise)) ** 2)
@@ -237,19 +237,16 @@ class _Fit:
         return cost + float(np.log1p(square / KERNEL**2).sum())
 
 
-def _refined(
-    starts: Sequence[gtsam.Pose3],
-    matches: _MatchedTracks,
-    limit: float,
-    widths: Sequence[int],
-    known: Sequence[_Fit] = (),
-) -> list[_Fit]:
-    """The relative poses near to others that are none of those known."""
-    fits: list[_Fit] = []
-    for start in starts:
-        if np.linalg.norm(start.translation()) > 0 and (fit := _refine(start, matches, limit, widths, [*known, *fits])):
-            fits.append(fit)
-    return fits
+def _starts(
+    tracks: Tracks, camera: Camera, settings: VoSettings, seed: int, expected: Iterable[gtsam.Pose3]
+) -> Iterator[tuple[gtsam.Pose3, Sequence[int]]]:
+    """Motions that may be near the right one, the cheapest first, each with the widths that it is refined by."""
+    for start in expected:
+        yield start, WIDTHS
+    some = tracks[a_sample(len(tracks))]
+    options = ransac_options(settings.ransac_threshold, settings, seed)
+    for start in relative_poses(some.keyframe, some.current, camera, options):
+        yield start, WIDTHS[FOUND:]
 
 
 def _refine(
