@@ -69,16 +69,17 @@ class ScaleChain:
             The variables that this is about.
         """
         before = self._scale_of.get(previous)
-        if before is not None and not self._update.has(scale_key(before)):
-            before = None  # beyond the lag
-        if before is not None and step is None:
+        beyond_lag = before is not None and not self._update.has(scale_key(before))
+        if before is not None and step is None and not beyond_lag:
             self._scale_of[index] = before
             return self._variables(before)
         self._scale_of[index] = index
         self._update.insert(scale_key(index), 0.0)
-        if step is None:
+        if step is None or beyond_lag:  # all that odometry made of it
             self._begin(scale_key(index), LogScale(0.0, variance))
             return [scale_key(index)]
+        # A map without a scale has that of the first motion from there, and so have the motions that follow.
+        self._scale_of.setdefault(previous, index)
         predicted = LogScale(step.predicted.mean - step.length.mean, step.predicted.variance)
         if before is None or (self._relative and predicted.variance >= UNINFORMATIVE_VARIANCE):
             self._begin(scale_key(index), predicted)

@@ -195,6 +195,23 @@ def test_a_frame_that_is_located_has_the_scale_of_its_map():
     assert graph.solver.values().exists(scale_key(10))
 
 
+def test_motions_from_the_first_frame_have_the_scale_of_its_map():
+    """Whoever moves slowly has a first keyframe that lasts: what its map is not known by is not known anew."""
+    made = steps(30)
+    graph = Graph(CAMERA, GraphSettings(landmarks="none"))
+    graph.add_odometry(0.0, OdometryStep(0, GaussianPose.identity()))
+    first = made[0].length.variance
+    frames = [OdometryStep(0, motion(made[0]), made[0], first), OdometryStep(0, motion(made[0]), None, first)]
+    frames.append(OdometryStep(0, motion(made[1]), made[1], made[1].length.variance))
+    frames += [OdometryStep(n + 1, motion(made[n]), made[n], made[n].length.variance) for n in range(2, 30)]
+    for index, step in enumerate(frames, 1):
+        graph.add_odometry(0.1 * index, step)
+    graph.fuse(None)
+    newest = scale_key(len(frames))
+    assert graph.solver.values().atDouble(newest) == pytest.approx(0, abs=1e-5)
+    assert graph.solver.covariance(newest)[0, 0] == pytest.approx(made[-1].length.variance, rel=1e-4)
+
+
 def test_the_length_against_the_built_in_range():
     """With the scale as a constant, it is GTSAM's range between two poses, wherever these are."""
     update = PendingUpdate(Solver(GraphSettings()))
