@@ -19,9 +19,9 @@ from fvslam_graph.graph.calibration import CALIBRATION, SelfCalibration
 Array = NDArray[np.float64]
 
 MIN_VARIANCE = 1e-10  # rad^2 and m^2: no factor is exact, and what is known of a whole path is of the order of 1
-TIGHT = (
-    1e-3  # share of its covariance that a motion gets for being told in two steps: what is exact, solvers do not like
-)
+# Of the covariance of a motion that is told in two steps, the second one's share. It is linear in poses, and what that
+# errs by where the path moves far from where it began must be small against it.
+LINEAR_SHARE = 0.5
 ENU = int(gtsam.symbol("e", 0))  # the key of world_T_enu, where east, north, up at a place on Earth is in the world
 CLOCK = int(gtsam.symbol("t", 0))  # the key of what is added to the stamps of fixes to have those of images, seconds
 SHORT = 1e-3  # metres; shorter motions have no direction that could be told, nor a length along it
@@ -166,18 +166,17 @@ def calibrated_motion_factors(
         length: Whether it tells how long the motion is.
     """
     filed, measured = filed_key(index), step.prev_T_cur.mean
-    noise = motion_noise(step.prev_T_cur, settings, length)
+    covariance = step.prev_T_cur.covariance
+    noise = motion_noise(GaussianPose(measured, (1 - LINEAR_SHARE) * covariance), settings, length)
     values = gtsam.Values()
     values.insert(filed, start)
     values.insert(pose_key(index), start)
     values.insert(CALIBRATION, calibration.start)
     J_calibration = step.J_calibration @ calibration.jacobian()
-    tight = np.linalg.inv(np.linalg.cholesky(TIGHT * _counted(step.prev_T_cur, settings)))
+    root = np.linalg.inv(np.linalg.cholesky(_counted(GaussianPose(measured, LINEAR_SHARE * covariance), settings)))
     unit = gtsam.noiseModel.Unit.Create(6)
-    known = tight @ step.J_calibration @ step.calibration  # is in the motion already
-    linear = gtsam.JacobianFactor(
-        filed, tight, pose_key(index), -tight, CALIBRATION, tight @ J_calibration, known, unit
-    )
+    known = root @ step.J_calibration @ step.calibration  # is in the motion already
+    linear = gtsam.JacobianFactor(filed, root, pose_key(index), -root, CALIBRATION, root @ J_calibration, known, unit)
     return [
         gtsam.BetweenFactorPose3(pose_key(step.previous), filed, measured, noise),
         gtsam.LinearContainerFactor(linear, values),
