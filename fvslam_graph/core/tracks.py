@@ -20,18 +20,22 @@ class Tracks:
         keyframe: (N, 2) pixels in the keyframe.
         current: (N, 2) pixels in the current image.
         covariances: (N, 2, 2) of the displacements, in variances of one on a corner, along either axis.
+        alignment_bias: (N, 2, 2, 2) pixels by which displacements err where patches are deformed, see
+            `features.alignment_bias`; None where they do not, or where that is not known.
     """
 
     ids: NDArray[np.int64]
     keyframe: NDArray[np.float64]
     current: NDArray[np.float64]
     covariances: NDArray[np.float64]
+    alignment_bias: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Tracks:
-        return Tracks(self.ids[chosen], self.keyframe[chosen], self.current[chosen], self.covariances[chosen])
+        bias = None if self.alignment_bias is None else self.alignment_bias[chosen]
+        return Tracks(self.ids[chosen], self.keyframe[chosen], self.current[chosen], self.covariances[chosen], bias)
 
     @classmethod
     def none(cls) -> Tracks:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Image
 from fvslam_graph.core.config import FeatureSettings
 from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.features.alignment_bias import alignment_bias
 from fvslam_graph.features.detection import BORDER, detect
 from fvslam_graph.features.exposure import exposed, exposure_change, reduced
 from fvslam_graph.features.texture import Texture
@@ -32,6 +33,7 @@ class KltTracker:
         self._ids = np.empty(0, np.int64)
         self._points = np.empty((0, 2), np.float32)
         self._covariances = np.empty((0, 2, 2))
+        self._bias = np.empty((0, 2, 2, 2))
         self._guess = self._points  # where they were seen last
 
     def track(self, image: Image) -> Tracks:
@@ -48,7 +50,8 @@ class KltTracker:
                 self._image, (found, good) = keyframe, others
         self._guess = np.where(good[:, None], found, self._guess)
         current = found[good].astype(float)
-        return Tracks(self._ids[good], self._points[good].astype(float), current, self._covariances[good])
+        points = self._points[good].astype(float)
+        return Tracks(self._ids[good], points, current, self._covariances[good], self._bias[good])
 
     def set_keyframe(self, image: Image, kept: Tracks) -> Tracks:
         """Make `image` the keyframe: its points, the kept tracks and new corners, are returned."""
@@ -63,7 +66,8 @@ class KltTracker:
         self._guess = self._points
         points = self._points.astype(float)
         self._covariances = texture.displacement_covariances(points)
-        return Tracks(self._ids, points, points, self._covariances)
+        self._bias = alignment_bias(image, self._points, self.settings.klt_window)
+        return Tracks(self._ids, points, points, self._covariances, self._bias)
 
     def _follow(self, keyframe: Image, image: Image) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Pixels (N, 2) where the points are in the image, and (N,) whether the way back leads to where they were."""

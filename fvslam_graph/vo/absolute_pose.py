@@ -15,7 +15,7 @@ from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.ransac import absolute_pose
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
-from fvslam_graph.vo.relative_pose import KERNEL, START_NOISE, WIDTHS, a_sample, ransac_options
+from fvslam_graph.vo.relative_pose import CONVERGED_STEP, KERNEL, START_NOISE, WIDTHS, a_sample, ransac_options
 from fvslam_graph.vo.reprojection import reprojection_errors
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
@@ -98,8 +98,11 @@ def refine_absolute_pose(
         information = weighted.T @ jacobian
         if not np.linalg.cond(information) < 1e14:
             return None
-        keyframe_T_cur = keyframe_T_cur.retract(-np.linalg.solve(information, weighted.T @ errors.values.ravel()))
+        step = -np.linalg.solve(information, weighted.T @ errors.values.ravel())
+        keyframe_T_cur = keyframe_T_cur.retract(step)
         noise = float(np.clip(width * noise * errors.deviation, *NOISE))
+        if width == 1 and np.linalg.norm(step[:3]) < CONVERGED_STEP:
+            break
     errors = reprojection_errors(keyframe_T_cur, rays, tracks, depths, camera, noise)
     agree = errors.agree
     covariance = m_estimator_covariance(

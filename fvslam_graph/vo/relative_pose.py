@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import gtsam
@@ -19,14 +19,15 @@ from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.vo_estimate import CalibrationEvidence
 from fvslam_graph.features.ransac import RansacOptions, relative_poses
-from fvslam_graph.vo.depth import triangulate
+from fvslam_graph.vo.deformation import undeformed
+from fvslam_graph.vo.depth import PIXEL_NOISE, triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, Rays, calibration_jacobian, epipolar_distance
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 
 KERNEL = 2.0  # deviations beyond which a match counts for less (Cauchy)
 START_NOISE = 0.2  # pixels, of a track along each axis, until residuals tell it,
 MIN_NOISE = 0.05  # and what they can tell at least
-WIDTHS = (8, 3, 1, 1, 1)  # limits within which tracks agree, by iteration: from a rough start, few do
+WIDTHS = (8, 3, 1, 1, 1, 1, 1, 1)  # limits within which tracks agree, by iteration: from a rough start, few do
 FOUND = 2  # the first of these for what was found by all tracks
 CONVERGED_STEP = 1e-5  # rad, of a step
 SAME = 1e-3  # rad between rotations, and ten times that between directions, of one and the same solution
@@ -108,19 +109,19 @@ def estimate_relative_pose(
     """
     if len(tracks) < settings.min_inliers:
         return None
-    matches = _MatchedTracks(tracks, MatchedRays.of(camera, tracks), known)
+    matches = _MatchedTracks(camera, tracks, MatchedRays.of(camera, tracks), known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
     fits: list[_Fit] = []
     for start, widths in _starts(tracks, camera, settings, seed, expected):
         if np.linalg.norm(start.translation()) > 0 and (fit := _refine(start, matches, limit, widths, fits)):
             fits.append(fit)
-            if fit.is_beyond_doubt(matches, limit):
+            if fit.is_beyond_doubt(limit):
                 break
     if not fits:
         return None
     noise = min(fit.noise for fit in fits)
-    best = min(fits, key=lambda fit: fit.cost(matches, noise)) if len(fits) > 1 else fits[0]
-    inliers = best.explained(matches, limit)
+    best = min(fits, key=lambda fit: fit.cost(noise)) if len(fits) > 1 else fits[0]
+    inliers = best.explained(limit)
     if inliers.sum() < max(settings.min_inliers, settings.min_inlier_share * len(tracks)):
         return None
     told = inliers & (np.abs(best.distance) < CLEARLY * best.noise)
@@ -129,7 +130,7 @@ def estimate_relative_pose(
     covariance = m_estimator_covariance(distance, jacobian, KERNEL * best.noise, cells)
     if covariance is None:
         return None
-    J_calibration, evidence = best.calibration(matches, told)
+    J_calibration, evidence = best.calibration(told)
     return RelativePose(best.rotation, best.direction, covariance, inliers, best.noise, J_calibration, evidence)
 
 
@@ -137,6 +138,7 @@ def estimate_relative_pose(
 class _MatchedTracks:
     """N tracks, their rays in both views, and known depths of some in the previous one."""
 
+    camera: Camera
     tracks: Tracks
     rays: MatchedRays
     known: InverseDepths | None
@@ -155,6 +157,16 @@ class _MatchedTracks:
         errors = np.abs(distance[self._corners])
         errors = errors[errors < limit]
         return max(median(errors) / 0.6745, MIN_NOISE) if len(errors) else limit
+
+    def depths(self, rotation: gtsam.Rot3, direction: NDArray[np.float64], noise: float = PIXEL_NOISE) -> InverseDepths:
+        """(N,) by a relative pose, in baselines."""
+        return triangulate(self.tracks.ids, self.rays, rotation, direction, noise)
+
+    def undeformed(self, rotation: gtsam.Rot3, direction: NDArray[np.float64]) -> _MatchedTracks:
+        """The same tracks without what this change of view makes them err."""
+        depths = self.depths(rotation, direction)
+        tracks = undeformed(self.tracks, self.rays, rotation, direction, depths)
+        return replace(self, tracks=tracks, rays=MatchedRays.of(self.camera, tracks))
 
     def ahead(self, rotation: gtsam.Rot3, direction: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
         """(N,) which points are not seen behind the camera by more than a limit in the current image, pixels.
@@ -177,6 +189,7 @@ class _Fit:
 
     rotation: gtsam.Rot3
     direction: NDArray[np.float64]
+    matches: _MatchedTracks
     distance: NDArray[np.float64]
     jacobian: NDArray[np.float64]
     noise: float
@@ -187,13 +200,13 @@ class _Fit:
         off = np.linalg.norm(self.direction - direction)
         return bool(turned < SAME and off < 10 * SAME)
 
-    def explained(self, matches: _MatchedTracks, limit: float) -> NDArray[np.bool_]:
+    def explained(self, limit: float) -> NDArray[np.bool_]:
         """(N,) which tracks agree within a limit, pixels."""
-        return (np.abs(self.distance) < limit) & matches.ahead(self.rotation, self.direction, limit)
+        return (np.abs(self.distance) < limit) & self.matches.ahead(self.rotation, self.direction, limit)
 
-    def is_beyond_doubt(self, matches: _MatchedTracks, limit: float) -> bool:
+    def is_beyond_doubt(self, limit: float) -> bool:
         """Whether no other motion can explain the tracks: most agree, and they fix the direction of travel."""
-        if self.explained(matches, limit).mean() < MOST:
+        if self.explained(limit).mean() < MOST:
             return False
         weight = 1 / (1 + (self.distance / (KERNEL * self.noise)) ** 2)
         information = self.jacobian.T @ (weight[:, None] * self.jacobian)
@@ -201,12 +214,10 @@ class _Fit:
         variances = self.noise**2 * np.linalg.inv(information)[3:, 3:]
         return bool(np.trace(variances) < CERTAIN_DIRECTION**2)
 
-    def calibration(
-        self, matches: _MatchedTracks, told: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], CalibrationEvidence]:
+    def calibration(self, told: NDArray[np.bool_]) -> tuple[NDArray[np.float64], CalibrationEvidence]:
         """How the pose changes with the calibration, (5, 2), and what tracks `told` (N,) say of it beside the pose."""
         distance, jacobian = self.distance[told], self.jacobian[told]
-        columns = calibration_jacobian(matches.rays, self.rotation, self.direction)[told]
+        columns = calibration_jacobian(self.matches.rays, self.rotation, self.direction)[told]
         weight = 1 / (1 + (distance / (KERNEL * self.noise)) ** 2)
         pull = jacobian.T @ (weight[:, None] * columns)
         J_calibration = -np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian)) @ pull
@@ -215,13 +226,12 @@ class _Fit:
         evidence = CalibrationEvidence(information / self.noise**2, gradient / self.noise**2)
         return np.asarray(J_calibration, float), evidence
 
-    def cost(self, matches: _MatchedTracks, noise: float) -> float:
+    def cost(self, noise: float) -> float:
         """Cauchy cost of the epipolar distances, and of how the depths depart from those known, up to their scale."""
         cost = float(np.log1p((self.distance / (KERNEL * noise)) ** 2).sum())
-        if matches.known is None:
+        if self.matches.known is None:
             return cost
-        tracks, known = matches.tracks, matches.known
-        depths = triangulate(tracks.ids, matches.rays, self.rotation, self.direction, noise)
+        known, depths = self.matches.known, self.matches.depths(self.rotation, self.direction, noise)
         mine, theirs = depths.match(known.ids)
         values, variance = depths.values[mine], depths.sigmas[mine] ** 2
         expected, doubt = known.values[theirs], known.total_sigmas[theirs] ** 2
@@ -262,6 +272,8 @@ def _refine(
     for width in widths:
         if any(fit.is_at(rotation, direction) for fit in known):
             return None
+        if width == 1 and ahead is None:
+            matches = matches.undeformed(rotation, direction)
         distance, jacobian = epipolar_distance(matches.rays, rotation, direction)
         noise = width * matches.noise(distance, limit)
         agree = np.abs(distance) < min(width * limit, CLEARLY * noise)
@@ -280,7 +292,7 @@ def _refine(
         if width == 1 and length < CONVERGED_STEP:
             break
     distance, jacobian = epipolar_distance(matches.rays, rotation, direction)
-    return _Fit(rotation, direction, distance, jacobian, matches.noise(distance, limit))
+    return _Fit(rotation, direction, matches, distance, jacobian, matches.noise(distance, limit))
 
 
 def a_sample(count: int) -> NDArray[np.intp]:
