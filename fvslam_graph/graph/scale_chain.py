@@ -78,8 +78,7 @@ class ScaleChain:
         if step is None or beyond_lag:  # all that odometry made of it
             self._begin(scale_key(index), LogScale(0.0, variance))
             return [scale_key(index)]
-        # A map without a scale has that of the first motion from there, and so have the motions that follow.
-        self._scale_of.setdefault(previous, index)
+        self._scale_of[previous] = index  # from now on: motions that follow from there have the scale of its map
         predicted = LogScale(step.predicted.mean - step.length.mean, step.predicted.variance)
         if before is None or (self._relative and predicted.variance >= UNINFORMATIVE_VARIANCE):
             self._begin(scale_key(index), predicted)

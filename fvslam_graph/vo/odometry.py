@@ -71,6 +71,12 @@ class _KeyframeMotion:
     evidence: CalibrationEvidence | None = None
 
 
+def _doubt(motion: _KeyframeMotion) -> float:
+    """Squared deviation of the translation, apart from its scale, as a share of its squared length."""
+    pose = motion.keyframe_T_cur.with_scale_variance(-motion.map.variance)
+    return float(np.trace(pose.covariance[3:, 3:]) / max(np.sum(pose.mean.translation() ** 2), 1e-12))
+
+
 def _tracker(settings: FeatureSettings) -> FeatureTracker:
     """What the settings say."""
     if (outside := outside_tracker(settings.association)) is not None:
@@ -120,6 +126,7 @@ class VisualOdometry:
         self._keyframe: Frame | None = None
         self._points = 0  # how many the keyframe has
         self._map = MetricMap.empty()  # of the keyframe
+        self._map_is_weak = True  # a plane seen with little parallax has two solutions: the map may be of the wrong one
         self._keyframe_T_last = GaussianPose.identity()  # where the last usable image was taken, and its time
         self._last_stamp = math.nan
         self._first = 0  # index of the first frame
@@ -163,9 +170,10 @@ class VisualOdometry:
         estimate = replace(estimate, found=len(tracks), parallax=motion.parallax)
 
         far = motion.scale is not None and motion.parallax > self.settings.keyframe_parallax
+        self._map_is_weak &= not far
         if standing is None and (far or self._is_worn_out(motion.tracks)):
             self._set_keyframe(frame, motion.tracks, estimate.map)
-        elif not len(self._map):
+        elif motion.scale is not None:
             self._map = motion.map  # in whose scale motions from this keyframe go on
         return estimate
 
@@ -194,11 +202,12 @@ class VisualOdometry:
     ) -> _KeyframeMotion | None:
         """Two views where they tell most, else the map, else what is left; None where nothing fits."""
         far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
-        if not far and (motion := self._from_map(tracks, self._map)):
-            return motion
+        located = None if far else self._from_map(tracks, self._map)
+        if located is not None and not (some and self._map_is_weak):
+            return located
         if some and (motion := self._from_two_views(frame, tracks)):
-            return motion
-        return self._from_map(tracks, self._map) if far else self._rotation_only(tracks, rotation, parallax)
+            return motion if located is None else min(located, motion, key=_doubt)
+        return self._from_map(tracks, self._map) if far else located or self._rotation_only(tracks, rotation, parallax)
 
     def _gated(self, frame: Frame, motion: _KeyframeMotion) -> _KeyframeMotion | None:
         """The motion with what may be wrong about it; None where the camera can hardly have moved so."""
@@ -258,8 +267,9 @@ class VisualOdometry:
         with self._stopwatch.stage("pose"):
             used = self._used(tracks)
             expected = self._expected(frame, tracks)
+            known = None if self._map_is_weak else self._map.depths
             relative_pose = estimate_relative_pose(
-                tracks[used], self.camera, self.settings, self._seed(), expected, self._map.depths
+                tracks[used], self.camera, self.settings, self._seed(), expected, known
             )
         if relative_pose is None:
             return None
@@ -420,6 +430,7 @@ class VisualOdometry:
     def _restart(self, estimate: VoEstimate, frame: Frame) -> VoEstimate:
         """Begin anew at this frame, whose pose is that of the estimate."""
         self._set_keyframe(frame, Tracks.none(), MetricMap.empty())
+        self._map_is_weak = True
         self._motion_model.coast(frame.stamp - self._last_stamp)
         self._last_stamp = frame.stamp
         return estimate
