@@ -31,7 +31,7 @@ def alignment_bias(image: Image, points: NDArray[np.float32], window: int) -> ND
     column, row = np.rint(points).astype(np.intp).T
     rows = (row[:, None] + offsets).clip(0, height - 1)
     columns = (column[:, None] + offsets).clip(0, width - 1)
-    pixels = (rows[:, :, None] * width + columns[:, None, :]).reshape(len(points), -1)
+    pixels = (rows[:, :, None] * width + columns[:, None, :]).reshape(len(points), len(offsets) ** 2)
     x, y = (gradient.ravel()[pixels].astype(np.float32) for gradient in cv2.spatialGradient(image))
     # Sums over each patch of what is in common to all pixels, and of what grows with the offset.
     across, down = np.meshgrid(offsets, offsets)

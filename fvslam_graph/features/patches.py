@@ -19,7 +19,9 @@ _OFFSETS = np.arange(SIDE) - (SIDE - 1) / 2
 _GRID = np.stack(np.meshgrid(_OFFSETS, _OFFSETS)).reshape(2, -1)
 _CORNERS = [0, SIDE - 1, -SIDE, -1]  # of this grid
 _ALIGNMENT_ITERATIONS = 3  # of the alignment
-_MIN_TEXTURE = np.float32(1e-4)  # added to what an aligned patch tells, so that a flat one stays where it is
+# Added to what an aligned patch tells of its shift, so that a flat one stays where it is, and of its deformation, which
+# is some 0.1 where residuals are 1 % of the contrast.
+_LEAST = np.array([1e-4, 1e-4, *[1e-2] * 4], np.float32)
 
 
 def cut_tiles(image: Image, pixels: Array) -> NDArray[np.uint8]:
@@ -143,10 +145,12 @@ def align(image: Image, patches: Patches, start: Array) -> tuple[Array, Array]:
     template = _normalised(patches)
     gradient = np.stack(np.gradient(template.reshape(patches.shape), axis=(2, 1)), axis=1)
     gradient = gradient.reshape(len(patches), 2, -1)
-    # Brightness and contrast may change too, so that what of the gradient looks like it is of no use.
-    gradient -= gradient.mean(axis=2, keepdims=True)
-    gradient -= (gradient @ template[:, :, None]) * template[:, None, :]
-    steps = np.linalg.inv(gradient @ gradient.mT + _MIN_TEXTURE * np.eye(2, dtype=np.float32)) @ gradient
+    # How patches look when they are moved, and when they are deformed, for which the shift is not to be mistaken.
+    changes = np.concatenate([gradient, *(gradient * offsets for offsets in _GRID.astype(np.float32))], axis=1)
+    # Brightness and contrast may change too, so that what of this looks like it is of no use.
+    changes -= changes.mean(axis=2, keepdims=True)
+    changes -= (changes @ template[:, :, None]) * template[:, None, :]
+    steps = (np.linalg.inv(changes @ changes.mT + np.diag(_LEAST)) @ changes)[:, :2]
     position = start
     for _ in range(_ALIGNMENT_ITERATIONS):
         error = _normalised(_sample(image, position)) - template
