@@ -27,15 +27,15 @@ def alignment_bias(image: Image, points: NDArray[np.float32], window: int) -> ND
         (N, 2, 2, 2) by which b_i = sum_jk bias_ijk A_jk, pixels.
     """
     height, width = image.shape
-    offsets = np.arange(-(window // 2), window // 2 + 1)
+    reach = window // 2
+    offsets = np.arange(-reach, reach + 1)
+    across, down = (axis.ravel() for axis in np.meshgrid(offsets, offsets))
     column, row = np.rint(points).astype(np.intp).T
-    rows = (row[:, None] + offsets).clip(0, height - 1)
-    columns = (column[:, None] + offsets).clip(0, width - 1)
-    pixels = (rows[:, :, None] * width + columns[:, None, :]).reshape(len(points), len(offsets) ** 2)
+    middles = row.clip(reach, height - 1 - reach) * width + column.clip(reach, width - 1 - reach)
+    pixels = middles[:, None] + (down * width + across)
     x, y = (gradient.ravel()[pixels].astype(np.float32) for gradient in cv2.spatialGradient(image))
     # Sums over each patch of what is in common to all pixels, and of what grows with the offset.
-    across, down = np.meshgrid(offsets, offsets)
-    moments = np.stack([np.ones(across.size), across.ravel(), down.ravel()], axis=1, dtype=np.float32)
+    moments = np.stack([np.ones(across.size), across, down], axis=1, dtype=np.float32)
     xx, xy, yy = ((a * b) @ moments for a, b in ((x, x), (x, y), (y, y)))
     sums = np.array([[xx, xy], [xy, yy]], float).transpose(2, 0, 1, 3)
     texture, levers = sums[..., 0], sums[..., 1:]

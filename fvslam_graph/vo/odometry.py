@@ -273,12 +273,12 @@ class VisualOdometry:
             )
         if relative_pose is None:
             return None
-        inliers = ~used
-        inliers[used] = relative_pose.inliers
-        relative_pose = replace(relative_pose, inliers=inliers)
+        inliers, current = ~used, tracks.current.copy()
+        inliers[used], current[used] = relative_pose.inliers, relative_pose.current
+        relative_pose = replace(relative_pose, inliers=inliers, current=current)
         with self._stopwatch.stage("scale"):
             pose = gtsam.Pose3(relative_pose.rotation, relative_pose.direction)
-            tracks = self._undeformed(tracks[relative_pose.inliers], pose)
+            tracks = replace(tracks, current=current)[inliers]
             unit = self._triangulated(tracks, pose, relative_pose.noise, relative_pose.covariance)
             fallback = self._motion_model.distance(frame.stamp - self._keyframe.stamp)
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
@@ -312,7 +312,8 @@ class VisualOdometry:
         with self._stopwatch.stage("pose"):
             seen = rays(self.camera, tracks.keyframe)
             depths = known.depths.of(tracks.ids)
-            tracks = self._undeformed(tracks, located, depths)
+            matched = MatchedRays.of(self.camera, tracks)
+            tracks = undeformed(tracks, matched, located.rotation(), located.translation(), depths)
             refined = refine_absolute_pose(located, seen[used], tracks[used], depths[used], self.camera)
         if refined is None or refined.agree.sum() < self.settings.min_inliers:
             return None
@@ -326,14 +327,6 @@ class VisualOdometry:
         # The map's scale is uncertain, and the distance travelled in it likewise.
         pose = refined.pose.with_scale_variance(known.variance)
         return _KeyframeMotion(pose, tracks, known, J_calibration=refined.J_calibration)
-
-    def _undeformed(self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, depths: InverseDepths | None = None) -> Tracks:
-        """Tracks without what the change of view makes them err; by default, with the depths that the motion tells."""
-        matched = MatchedRays.of(self.camera, tracks)
-        rotation, baseline = keyframe_T_cur.rotation(), keyframe_T_cur.translation()
-        if depths is None:
-            depths = triangulate(tracks.ids, matched, rotation, baseline)
-        return undeformed(tracks, matched, rotation, baseline, depths)
 
     def _triangulated(
         self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]

@@ -52,6 +52,7 @@ class RelativePose:
         covariance: (5, 5) in the tangent of gtsam.EssentialMatrix(rotation, Unit3(direction)): rotation, then
             direction in the plane of gtsam.Unit3.basis; radians.
         inliers: (N,) bool, which of the tracks agree.
+        current: (N, 2) pixels in the current image, without what the change of view makes the tracker err.
         noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
         J_calibration: (5, 2) how the pose changes with the logarithm of the focal length and with k1.
         evidence: What the views say of these two; None where they were not asked.
@@ -61,6 +62,7 @@ class RelativePose:
     direction: NDArray[np.float64]
     covariance: NDArray[np.float64]
     inliers: NDArray[np.bool_]
+    current: NDArray[np.float64]
     noise: float
     J_calibration: NDArray[np.float64]
     evidence: CalibrationEvidence | None = None
@@ -131,7 +133,10 @@ def estimate_relative_pose(
     if covariance is None:
         return None
     J_calibration, evidence = best.calibration(told)
-    return RelativePose(best.rotation, best.direction, covariance, inliers, best.noise, J_calibration, evidence)
+    current = best.matches.tracks.current
+    return RelativePose(
+        best.rotation, best.direction, covariance, inliers, current, best.noise, J_calibration, evidence
+    )
 
 
 @dataclass(frozen=True)

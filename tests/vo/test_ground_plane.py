@@ -32,6 +32,7 @@ class View(NamedTuple):
             baseline / np.linalg.norm(baseline),
             1e-10 * np.eye(5),
             np.ones(1, bool),
+            np.zeros((1, 2)),
             0.3,
             np.zeros((5, 2)),
         )

@@ -18,7 +18,7 @@ SCALE = LogScale(math.log(2.5), 0.04)
 def test_covariance_by_finite_differences():
     mixing = 0.1 * np.random.default_rng(0).standard_normal((5, 5))
     relative_pose = RelativePose(
-        ROTATION, DIRECTION.point3(), mixing @ mixing.T, np.ones(1, bool), 0.3, np.zeros((5, 2))
+        ROTATION, DIRECTION.point3(), mixing @ mixing.T, np.ones(1, bool), np.zeros((1, 2)), 0.3, np.zeros((5, 2))
     )
     metric = metric_pose(relative_pose, SCALE)
     pose, covariance = metric.mean, metric.covariance
@@ -39,7 +39,7 @@ def test_covariance_by_finite_differences():
 
 def test_an_unknown_scale_is_uncertain_along_the_baseline_alone():
     relative_pose = RelativePose(
-        ROTATION, DIRECTION.point3(), np.zeros((5, 5)), np.ones(1, bool), 0.3, np.zeros((5, 2))
+        ROTATION, DIRECTION.point3(), np.zeros((5, 5)), np.ones(1, bool), np.zeros((1, 2)), 0.3, np.zeros((5, 2))
     )
     covariance = metric_pose(relative_pose, LogScale(0.0, 1.0)).covariance
     along = np.concatenate([np.zeros(3), ROTATION.unrotate(DIRECTION.point3())])

@@ -42,7 +42,9 @@ def world(camera, two_views):
     scene = two_views(MOTION)
     tracks, length = scene.tracks, np.linalg.norm(MOTION.translation())
     inliers, direction = np.ones(len(tracks), bool), MOTION.translation() / length
-    relative_pose = RelativePose(MOTION.rotation(), direction, np.eye(5), inliers, 0.3, np.zeros((5, 2)))
+    relative_pose = RelativePose(
+        MOTION.rotation(), direction, np.eye(5), inliers, np.zeros((len(inliers), 2)), 0.3, np.zeros((5, 2))
+    )
     ray = rays(camera, tracks.keyframe)
     unit = triangulate(
         tracks.ids,
