@@ -12,6 +12,7 @@ from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.epipolar import MatchedRays
 
+MAX_SHIFT = 2.0  # pixels along each axis: more than that is an edge, along which little tells where a patch is
 NEAREST = 0.5  # times as far away as in the keyframe: what comes nearer is no longer followed
 
 
@@ -36,5 +37,5 @@ def undeformed(
     depth_ratio = matched.previous @ R[2] - near * float(R[2] @ baseline)
     stretched = R[:2, :2] - matched.current[:, :2, None] * R[2, :2]
     deformation = stretched / np.maximum(depth_ratio, NEAREST)[:, None, None] - np.eye(2)
-    shift = np.einsum("nijk,njk->ni", tracks.alignment_bias, deformation)
+    shift = np.einsum("nijk,njk->ni", tracks.alignment_bias, deformation).clip(-MAX_SHIFT, MAX_SHIFT)
     return replace(tracks, current=tracks.current - shift)

@@ -23,7 +23,7 @@ from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.tracks import FeatureTracker, Tracks
 from fvslam_graph.core.trajectory import Status
 from fvslam_graph.core.vo_estimate import CalibrationEvidence, ScaleStep, VoEstimate
-from fvslam_graph.features.detection import detect
+from fvslam_graph.features.detection import BORDER, detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
@@ -185,7 +185,9 @@ class VisualOdometry:
             estimate: Its estimate, with the tracks where they are in that image.
         """
         self._lost = LostKeyframes()
-        self._set_keyframe(frame, estimate.tracks, estimate.map)
+        pixels, far = estimate.tracks.current, np.subtract((self.camera.width, self.camera.height), BORDER + 1)
+        inside = np.all((pixels > BORDER) & (pixels < far), axis=1)
+        self._set_keyframe(frame, estimate.tracks[inside], estimate.map)
 
     def _measure(self, frame: Frame, tracks: Tracks) -> _KeyframeMotion | None:
         """The motion that the image shows, and how much parallax it has; None where nothing fits."""
@@ -286,7 +288,8 @@ class VisualOdometry:
             views = TwoViews(self._keyframe, frame, relative_pose, rays(self.camera, tracks.keyframe), unit)
             scale, known = self._scale.estimate(views, self._map, fallback, self._rng)
         J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
-        pose, evidence = metric_pose(relative_pose, scale.length), relative_pose.evidence
+        pose = metric_pose(relative_pose, scale.length)
+        evidence = None if self._map_is_weak else relative_pose.evidence  # with the wrong motion, it would be wrong
         return _KeyframeMotion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence)
 
     def _expected(self, frame: Frame, tracks: Tracks) -> Iterator[gtsam.Pose3]:
