@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.graph.calibration import EXACT_SIGMA, TAILS
-from fvslam_graph.graph.factors import CLOCK, ENU, TIGHT, pose_key, robust
+from fvslam_graph.graph.factors import CLOCK, ENU, pose_key, robust
 
 Array = NDArray[np.float64]
 
 MIN_SIGMA = 0.05  # metres; a receiver errs by that much beyond what it says, by its antenna
+ADDED = 1e-3  # of a fix's variance, for being told in two steps: what is exact, solvers do not like
 ROTATION_SIGMA = 1e-3  # rad, of the camera at the time of a fix, which says nothing of it
 
 
@@ -119,7 +120,7 @@ def moment_factor(key: int, moment: Moment, offset: float, start: gtsam.Pose3, s
     values.insert(key, start.compose(moment.frame_T_camera))
     values.insert(pose_key(moment.frame), start)
     values.insert(CLOCK, offset)
-    tight = np.diag(1 / np.repeat([ROTATION_SIGMA, math.sqrt(TIGHT) * sigma], 3))
+    tight = np.diag(1 / np.repeat([ROTATION_SIGMA, math.sqrt(ADDED) * sigma], 3))
     along = tight @ moment.frame_T_camera.inverse().AdjointMap()
     unit = gtsam.noiseModel.Unit.Create(6)
     linear = gtsam.JacobianFactor(
