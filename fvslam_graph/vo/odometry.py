@@ -268,10 +268,9 @@ class VisualOdometry:
         assert self._keyframe is not None
         with self._stopwatch.stage("pose"):
             used = self._used(tracks)
-            expected = self._expected(frame, tracks)
-            known = None if self._map_is_weak else self._map.depths
+            expected, trusted = self._expected(frame, tracks), None if self._map_is_weak else self._map.depths
             relative_pose = estimate_relative_pose(
-                tracks[used], self.camera, self.settings, self._seed(), expected, known
+                tracks[used], self.camera, self.settings, self._seed(), expected, trusted
             )
         if relative_pose is None:
             return None
@@ -279,9 +278,9 @@ class VisualOdometry:
         inliers[used], current[used] = relative_pose.inliers, relative_pose.current
         relative_pose = replace(relative_pose, inliers=inliers, current=current)
         with self._stopwatch.stage("scale"):
-            pose = gtsam.Pose3(relative_pose.rotation, relative_pose.direction)
+            unit_pose = gtsam.Pose3(relative_pose.rotation, relative_pose.direction)
             tracks = replace(tracks, current=current)[inliers]
-            unit = self._triangulated(tracks, pose, relative_pose.noise, relative_pose.covariance)
+            unit = self._triangulated(tracks, unit_pose, relative_pose.noise, relative_pose.covariance)
             fallback = self._motion_model.distance(frame.stamp - self._keyframe.stamp)
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = self._guess(unit)

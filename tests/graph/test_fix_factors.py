@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.config import GraphSettings
-from fvslam_graph.graph.factors import CLOCK, ENU, TIGHT, fix_key, pose_key
+from fvslam_graph.graph.factors import CLOCK, ENU, fix_key, pose_key
 from fvslam_graph.graph.fix_factors import (
+    ADDED,
     ROTATION_SIGMA,
     GraphFix,
     KnownPath,
@@ -53,7 +54,7 @@ def test_far_from_all_frames_nothing_is_known():
 def test_derivatives_are_those_of_the_relation(moment):
     factor = moment_factor(KEY, moment, OFFSET, POSE, SIGMA)
     there = POSE.compose(moment.frame_T_camera)
-    root = 1 / np.repeat([ROTATION_SIGMA, np.sqrt(TIGHT) * SIGMA], 3)
+    root = 1 / np.repeat([ROTATION_SIGMA, np.sqrt(ADDED) * SIGMA], 3)
 
     def error(step):
         pose, at_fix, offset = POSE.retract(step[:6]), there.retract(step[6:12]), OFFSET + step[12]
