@@ -12,6 +12,8 @@ from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.epipolar import MatchedRays
 
+SHARE = 0.3  # of a shift, that it errs by: patches face the keyframe only roughly; by residuals on roads,
+CORNER_NOISE = 0.1  # where corners err by so many pixels otherwise
 MAX_SHIFT = 2.0  # pixels along each axis: more than that is an edge, along which little tells where a patch is
 NEAREST = 0.5  # times as far away as in the keyframe: what comes nearer is no longer followed
 
@@ -38,4 +40,5 @@ def undeformed(
     stretched = R[:2, :2] - matched.current[:, :2, None] * R[2, :2]
     deformation = stretched / np.maximum(depth_ratio, NEAREST)[:, None, None] - np.eye(2)
     shift = np.einsum("nijk,njk->ni", tracks.alignment_bias, deformation).clip(-MAX_SHIFT, MAX_SHIFT)
-    return replace(tracks, current=tracks.current - shift)
+    doubt = (SHARE / CORNER_NOISE) ** 2 * shift[:, :, None] * shift[:, None, :]
+    return replace(tracks, current=tracks.current - shift, covariances=tracks.covariances + doubt)

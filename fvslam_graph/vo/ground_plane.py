@@ -26,11 +26,14 @@ _PATCH_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
 _PATCH_WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car
 _SEARCH = 8.0  # pixels that the ground may lie off its prediction
 _HYPOTHESES = 60
+_LEVEL = 20  # of these, with the nominal normal
 MIN_TRACKS = 10  # on the ground, for a first guess
 _RATIOS = np.geomspace(0.05, 4.0, 16)  # baseline over height: what is tried where nothing is expected
 LIMIT = 2.0  # tolerances beyond which a patch counts for less, or is no ground; where residuals are smaller,
 KERNEL = 4.0  # deviations: so many that relief is averaged
 MIN_SPREAD = 0.05  # of what patches may err: what they do, at least
+LOOK_AGAIN = 1.1  # times the distance that was expected, or less by as much,
+MAX_LOOKS = 3  # for so many looks at most
 STRIDE = 5  # from one of these to the next one tried: all come, and soon some of each size
 
 
@@ -104,9 +107,22 @@ class GroundAligner:
     def _measure_near(
         self, views: TwoViews, plane: NDArray[np.float64], rng: np.random.Generator
     ) -> GroundPlane | None:
-        """The ground, if it is near enough to `plane` for its patches to be found."""
-        patches = self._align(views, plane)
-        return None if patches is None else self._refine(*patches, self._hypothesise(*patches, rng))
+        """The ground, if it is near enough to `plane` for its patches to be found.
+
+        Patches that were found far from where they were looked for are seen otherwise than they were taken to be, and
+        are looked for again where they were found.
+        """
+        ground = None
+        for _ in range(MAX_LOOKS):
+            patches = self._align(views, plane)
+            found = None if patches is None else self._refine(*patches, self._hypothesise(*patches, rng))
+            if found is None:
+                break
+            change = float(np.linalg.norm(found.plane) / np.linalg.norm(plane))
+            ground, plane = found, found.plane
+            if 1 / LOOK_AGAIN < change < LOOK_AGAIN:
+                break
+        return ground
 
     def _sees_ground(self, ray: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which rays (N, 3) meet the nominal ground within reach and not too far aside."""
@@ -167,8 +183,14 @@ class GroundAligner:
     def _hypothesise(
         self, ray: NDArray[np.float64], depths: InverseDepths, rng: np.random.Generator
     ) -> NDArray[np.float64]:
-        """The plane on which most patches lie; each hypothesis goes through one patch, its normal is drawn."""
-        normals = self.normal + self.normal_sigma * rng.standard_normal((_HYPOTHESES, 3))
+        """The plane on which most patches lie.
+
+        Each hypothesis goes through one patch; its normal is drawn, but for some that have the likeliest one: where the
+        tilt is hardly known, few of those drawn are near.
+        """
+        tilts = rng.standard_normal((_HYPOTHESES, 3))
+        tilts[:_LEVEL] = 0.0
+        normals = self.normal + self.normal_sigma * tilts
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         chosen = rng.integers(len(depths), size=_HYPOTHESES)
         planes = normals * (depths.values[chosen] / (normals * ray[chosen]).sum(axis=1))[:, None]
