@@ -26,9 +26,9 @@ def test_a_run_with_fixes_knows_its_place_on_earth(drive, tmp_path, fvslam):
     assert run.info["gnss"] == "fixes.csv"
     last = [run.frames[name][-1] for name in COLUMNS]
     assert np.linalg.norm(last[:3] - LocalFrame(places[0]).enu(places[-1:])[0]) < 0.5  # measured: 0.05 m
-    assert max(last[3], last[5]) < 0.1 and last[4] < 1.2  # at 10 m/s along a line, by a clock that is known to 0.1 s
+    assert max(last[3], last[5]) < 0.1 and last[4] < 0.5  # at 12 m/s along a line, by a clock that is known to 0.03 s
     clock = run.info["placement"]["clock"]
-    assert abs(clock["offset"]) < 0.05 and 0 < clock["sigma"] < 0.11  # measured: 0.003 and 0.06
+    assert abs(clock["offset"]) < 0.05 and 0 < clock["sigma"] < 0.04
     assert np.isnan(run.frames["east"][0])
 
     code, _, err = fvslam("export", folder, "--to", "geojson", "--smoothed", "--out", tmp_path / "map.geojson")

@@ -133,7 +133,7 @@ class GraphSettings(_Group):
     # How well the calibration is known that the images come with, as a rule: it is estimated with all else.
     focal_sigma: float = Field(0.001, ge=0)  # share of the focal length
     distortion_sigma: float = Field(0.001, ge=0)  # radial, k1
-    clock_sigma: float = Field(0.1, ge=0)  # seconds, of the clock of GNSS fixes against that of the images, likewise
+    clock_sigma: float = Field(0.03, ge=0)  # seconds, of the clock of GNSS fixes against that of the images, likewise
     min_views: int = Field(3, ge=2)  # of a landmark that enters the graph
     max_zoom: float = Field(1.6, ge=1)  # nearer or farther than at first by this factor, its patch looks too different
     min_parallax: PositiveFloat = 3.0  # pixels between the first and the last view of a landmark that enters
