@@ -4,6 +4,7 @@ import contextlib
 import os
 import platform
 import subprocess
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -16,16 +17,19 @@ _RECORDED = {"gtsam": "gtsam", "numpy": "numpy", "opencv": "opencv-python-headle
 def provenance() -> dict[str, Any]:
     """Versions of what computed the run, the git revision (only in a checkout) and the machine."""
     facts: dict[str, Any] = {
-        "versions": {
-            "fvslam_graph": __version__,
-            "python": platform.python_version(),
-            **{name: _version(package) for name, package in _RECORDED.items()},
-        },
+        "versions": library_versions(),
         "machine": {"platform": platform.platform(), "cores": os.cpu_count()},
     }
     if (revision := _git_revision()) is not None:
         facts["git"] = revision
     return facts
+
+
+@cache  # each job of a study asks
+def library_versions() -> dict[str, str | None]:
+    """The numbers of this package, of Python and of the libraries that compute."""
+    libraries = {name: _version(package) for name, package in _RECORDED.items()}
+    return {"fvslam_graph": __version__, "python": platform.python_version(), **libraries}
 
 
 def _version(package: str) -> str | None:
@@ -64,7 +68,7 @@ def seconds_without_core() -> float:
 
 def _git_revision() -> str | None:
     """Commit of the source, with "-dirty" where it was changed since; None outside of a checkout."""
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude", "*"]

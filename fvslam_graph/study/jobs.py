@@ -22,7 +22,7 @@ from fvslam_graph.evaluation.metrics import Evaluation
 from fvslam_graph.evaluation.runs import evaluate_run
 from fvslam_graph.pipeline import run_sequence
 from fvslam_graph.runs.ownership import FolderKind, claimed
-from fvslam_graph.runs.provenance import provenance
+from fvslam_graph.runs.provenance import library_versions
 from fvslam_graph.runs.results import Run
 from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.study.sources import Source, fingerprint, opened
@@ -233,4 +233,4 @@ def _finished(folder: Path) -> bool:
 
 def code_version() -> list[Any]:
     """The version of everything that computes: libraries by their number, this package by its source."""
-    return [source_hash("fvslam_graph"), provenance()["versions"]]
+    return [source_hash("fvslam_graph"), library_versions()]
