@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+import typer
 import yaml
 
 import fvslam_graph
@@ -18,7 +19,7 @@ from fvslam_graph.core.files import file_name
 from fvslam_graph.evaluation.plots import runs as plots
 from fvslam_graph.runs.run_folder import FIGURES, read_run
 
-COMMANDS = ("run", "live", "evaluate", "plot", "export", "compare", "study", "info", "calibrate", "demo")
+COMMANDS = list(typer.main.get_command(app).commands)
 HEAVY = {"gtsam", "cv2", "evo", "matplotlib", "scipy", "numpy", "pandas", "poselib", "dask", "distributed"}
 
 
@@ -206,6 +207,10 @@ def test_a_progress_bar_on_a_terminal_only(drive, tmp_path, monkeypatch, fvslam)
     assert fvslam("run", drive, "--out", tmp_path / "run").err == ""
     monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes this for a terminal
     assert "100%" in fvslam("run", drive, "--out", tmp_path / "run").err
+
+
+def test_commands_are_listed_in_the_order_of_their_use():
+    assert " ".join(COMMANDS) == "run live evaluate plot export compare study table info calibrate distortion demo data"
 
 
 @pytest.mark.parametrize("command", [(), *((command,) for command in COMMANDS)])
