@@ -119,3 +119,18 @@ def test_the_command_ends_with_a_complete_run(recorder, tmp_path, end):
         assert np.array_equal(line["position"], run.online.positions[index])
         assert np.array_equal(line["covariance"], run.pose_covariances[index])
         assert np.linalg.norm(line["quaternion"]) == pytest.approx(1)
+
+
+def test_what_libraries_print_is_not_among_the_poses():
+    """GTSAM prints on the standard output where a landmark comes to lie behind a camera."""
+    code = (
+        "import os\n"
+        "from fvslam_graph.cli.live import _poses_alone\n"
+        "with _poses_alone() as lines:\n"
+        "    os.write(1, b'Landmark 7 behind camera\\n')\n"
+        "    print('0.1 pose', file=lines, flush=True)\n"
+        "os.write(1, b'end\\n')\n"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout == "0.1 pose\nend\n"
+    assert said.stderr == "Landmark 7 behind camera\n"

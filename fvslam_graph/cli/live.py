@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
@@ -71,13 +71,13 @@ def live(
     chosen = chosen_config(preset, config, {"mode": mode, "scale.source": scale, "seed": seed}, settings)
     source = open_live(where, camera, fov, camera_height=camera_height, camera_pitch=camera_pitch, patience=patience)
     typer.echo(f"waiting for images from {source.name}; Ctrl-C ends", err=True)
-    with source, _ended_by_signals(source.stop), ExitStack() as stack:
+    with source, _ended_by_signals(source.stop), _poses_alone() as lines, ExitStack() as stack:
         sequence = source.sequence
         effective = effective_config(chosen, sequence)
         viewer = None if rerun is None else stack.enter_context(open_viewer(rerun, sequence))
 
         def watch(results: Iterable[FrameResult]) -> Iterable[FrameResult]:
-            printed = _printed(results, line, source.stop)
+            printed = _printed(results, line, lines, source.stop)
             return printed if viewer is None else viewer.watch(printed)
 
         run = run_live(source if viewer is None else viewer.seen(source), sequence, effective, out, watch)
@@ -104,14 +104,30 @@ def _ended_by_signals(stop: Callable[[], None]) -> Iterator[None]:
             signal.signal(number, handler)
 
 
+@contextmanager
+def _poses_alone() -> Iterator[TextIO]:
+    """Keep the standard output for poses alone within the block: what libraries print there goes to the other one."""
+    try:
+        number, other = sys.stdout.fileno(), sys.stderr.fileno()
+    except OSError:  # of a test, which has no files behind them
+        yield sys.stdout
+        return
+    with os.fdopen(os.dup(number), "w") as lines:
+        os.dup2(other, number)
+        try:
+            yield lines
+        finally:
+            os.dup2(lines.fileno(), number)
+
+
 def _printed(
-    results: Iterable[FrameResult], line: Callable[[FrameResult], str], stop: Callable[[], None]
+    results: Iterable[FrameResult], line: Callable[[FrameResult], str], lines: TextIO, stop: Callable[[], None]
 ) -> Iterator[FrameResult]:
-    """Print a line for each result as soon as it is known; when nobody reads them any more, call `stop`."""
+    """Write a line for each result as soon as it is known; when nobody reads them any more, call `stop`."""
     for result in results:
         try:
-            print(line(result), flush=True)
+            print(line(result), file=lines, flush=True)
         except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in its buffer goes there
+            os.dup2(os.open(os.devnull, os.O_WRONLY), lines.fileno())  # what is left in its buffer goes there
             stop()
         yield result

@@ -49,7 +49,7 @@ def write_graph(folder: Path, factors: gtsam.NonlinearFactorGraph, estimate: gts
     for slot in range(factors.size()):
         factor = factors.at(slot)
         if isinstance(factor, gtsam.BetweenFactorPose3) and is_filed(factor.keys()[1]):
-            factor = _calibrated(factor, estimate)
+            factor = _calibrated(factor, estimate) if all(map(estimate.exists, factor.keys())) else None
         if factor is None or not all(values.exists(key) for key in factor.keys()):  # noqa: SIM118
             continue
         whole.add(factor)

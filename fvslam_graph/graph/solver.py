@@ -282,7 +282,9 @@ class Solver:
                 error = again
             else:
                 return
-        raise EstimationError(f"the factor graph cannot be solved: {' '.join(str(error).split())}") from error
+        if self._settings.lag is None:
+            raise EstimationError(f"the factor graph cannot be solved: {' '.join(str(error).split())}") from error
+        self._begin_where_it_was(values)
 
     def _drop_newest_landmarks(self, values: gtsam.Values) -> bool:
         """Do without the landmarks that the newest factors are about; whether there are any."""
@@ -296,6 +298,17 @@ class Solver:
         if dropped:
             _log.warning("the graph does without the %d landmarks that were seen last", len(dropped))
         return bool(dropped)
+
+    def _begin_where_it_was(self, values: gtsam.Values) -> None:
+        """Go on from where the path was, without all that was measured: the camera flies on."""
+        _log.warning("the graph could not be solved; it begins anew where the camera was")
+        for key in filter(is_landmark, values.keys()):
+            values.erase(key)
+        self._factors = [(self._factors[-1][0], gtsam.NonlinearFactorGraph())]
+        for key in values.keys():  # noqa: SIM118
+            self._add(_prior(key, values, ANCHOR_SIGMA))
+        self._begin()
+        self._advance(self.factors(), values, {key: self._stamps[key] for key in values.keys()})  # noqa: SIM118
 
     def _keep_within(self, values: gtsam.Values) -> None:
         """Keep the factors whose variables are all within the lag.

@@ -129,6 +129,23 @@ def test_a_fixed_lag_keeps_what_it_needs(fed):
         assert a.mean.equals(b.mean, 0.02)
 
 
+def test_where_nothing_helps_a_lagged_graph_begins_anew(fed, monkeypatch, tmp_path, caplog):
+    """A camera that flies cannot wait for a graph that can be solved."""
+    advance, failures = Solver._advance, iter(range(2))
+
+    def failing(solver, *update):
+        if len(solver._factors) > 8 and next(failures, None) is not None:
+            raise RuntimeError("Indeterminate linear system")
+        advance(solver, *update)
+
+    monkeypatch.setattr(Solver, "_advance", failing)
+    made = fed(frames=61, seed=3, lag=2.0)
+    assert "it begins anew where the camera was" in caplog.text
+    assert len(made.graph.smoothed()) == 61
+    assert made.error() < 0.5  # metres; measured 0.1
+    made.graph.write(tmp_path)
+
+
 def test_a_lag_that_is_shorter_than_an_interval(fed):
     """As after a gap in a recording: what was fused before is left behind, odometry goes on."""
     made = fed(frames=31, seed=3, lag=0.15)
