@@ -1,6 +1,7 @@
-"""The command line. Each command imports what it needs, so that `--help` is quick."""
+"""The command line. Each command imports what it needs, so that `--help` is quick.
 
-from __future__ import annotations
+For the same reason, modules that need no postponed annotations do without: typer evaluates those of all commands.
+"""
 
 import io
 import signal

@@ -1,7 +1,5 @@
 """Show on a generated flight what the package does."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

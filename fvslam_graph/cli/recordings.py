@@ -1,7 +1,5 @@
 """What a recording tells about itself and its camera: info, calibrate, distortion."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """What is done with a run: evaluate it, plot it, export it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
