@@ -43,6 +43,7 @@ from fvslam_graph.vo.scale import MetricScale
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1
 MIN_TRACK_RATIO = 2  # times the inliers needed: fewer tracks, and none is left apart
+SHARE_AFTER_A_GAP = 0.7  # of the tracks that a motion explains at least: over a gap, half agree by chance now and then
 MAX_FAILURES = 3  # textured images in a row that do not fit the keyframe before it is given up
 GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
 CARRIED = 0.25  # likewise, up to which the speed carries a scale over images without a map: within a factor of 1.6
@@ -133,6 +134,7 @@ class VisualOdometry:
         self._seen = Tracks.none()  # where the points were when the camera last moved
         self._lost = LostKeyframes()
         self._failures = 0  # usable images in a row that did not fit the keyframe
+        self._coasted = 0  # images since the last one whose motion was believed
         self._excluded = np.empty(0, np.int64)  # tracks not to be used for the motion
 
     def step(self, frame: Frame, excluded: NDArray[np.int64] | None = None) -> VoEstimate:
@@ -173,7 +175,7 @@ class VisualOdometry:
         self._map_is_weak &= not far
         if standing is None and (far or self._is_worn_out(motion.tracks)):
             self._set_keyframe(frame, motion.tracks, estimate.map)
-        elif motion.scale is not None:
+        elif motion.scale is not None and (self._map_is_weak or not len(self._map)):
             self._map = motion.map  # in whose scale motions from this keyframe go on
         return estimate
 
@@ -197,7 +199,9 @@ class VisualOdometry:
             )
             parallax = median(unexplained)
         motion = self._estimate_motion(frame, tracks, rotation, parallax)
-        return None if motion is None else replace(motion, parallax=parallax)
+        if motion is None or (self._coasted and len(motion.tracks) < SHARE_AFTER_A_GAP * len(tracks)):
+            return None
+        return replace(motion, parallax=parallax)
 
     def _estimate_motion(
         self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float
@@ -209,7 +213,9 @@ class VisualOdometry:
             return located
         if some and (motion := self._from_two_views(frame, tracks)):
             return motion if located is None else min(located, motion, key=_doubt)
-        return self._from_map(tracks, self._map) if far else located or self._rotation_only(tracks, rotation, parallax)
+        if far:
+            return self._from_map(tracks, self._map)
+        return located or self._rotation_only(tracks, rotation, parallax, self._predict(frame))
 
     def _gated(self, frame: Frame, motion: _KeyframeMotion) -> _KeyframeMotion | None:
         """The motion with what may be wrong about it; None where the camera can hardly have moved so."""
@@ -260,7 +266,7 @@ class VisualOdometry:
     def _accept_static(self, frame: Frame, motion: _KeyframeMotion) -> VoEstimate:
         """Take over that the camera stands; where it came to stand is kept, so that it does not drift."""
         self._motion_model.stop()
-        self._last_stamp, self._failures = frame.stamp, 0
+        self._last_stamp, self._failures, self._coasted = frame.stamp, 0, 0
         return replace(self._estimate(frame, motion.keyframe_T_cur, Status.STATIC), tracks=motion.tracks)
 
     def _from_two_views(self, frame: Frame, tracks: Tracks) -> _KeyframeMotion | None:
@@ -337,11 +343,18 @@ class VisualOdometry:
         matched, motion = MatchedRays.of(self.camera, tracks), keyframe_T_cur
         return triangulate(tracks.ids, matched, motion.rotation(), motion.translation(), noise, covariance)
 
-    def _rotation_only(self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float) -> _KeyframeMotion:
-        """Rotation alone; both it and the translation are as uncertain as the parallax that may hide in it."""
+    def _rotation_only(
+        self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float, expected: GaussianPose
+    ) -> _KeyframeMotion:
+        """Rotation alone, and no translation but what may hide in the parallax, and what the motion model expects."""
         hidden = max(parallax, self.settings.static_parallax) / ROTATION_AMBIGUITY / self.camera.fx
         covariance = np.diag(np.repeat([hidden, hidden * self._typical_depth()], 3) ** 2)
-        return _KeyframeMotion(GaussianPose(gtsam.Pose3(rotation, np.zeros(3)), covariance), tracks, self._map)
+        axes = rotation.matrix().T @ expected.mean.rotation().matrix()  # of what is expected, in the new camera
+        forecast, seen = axes @ expected.covariance[3:, 3:] @ axes.T, covariance[3:, 3:]
+        gain = seen @ np.linalg.inv(forecast + seen)  # of the forecast, beside none at all
+        translation = rotation.rotate(gain @ rotation.unrotate(expected.mean.translation()))
+        covariance[3:, 3:] = gain @ forecast
+        return _KeyframeMotion(GaussianPose(gtsam.Pose3(rotation, translation), covariance), tracks, self._map)
 
     def _accept(self, frame: Frame, motion: _KeyframeMotion) -> VoEstimate:
         """Take over a measured motion."""
@@ -351,7 +364,7 @@ class VisualOdometry:
         passed = frame.stamp - self._last_stamp
         self._motion_model.observe(motion.keyframe_T_cur.mean, seconds, motion.map.variance, passed)
         self._keyframe_T_last, self._last_stamp = motion.keyframe_T_cur, frame.stamp
-        self._seen, self._failures = motion.tracks, 0
+        self._seen, self._failures, self._coasted = motion.tracks, 0, 0
         if motion.scale is not None:
             self._scale_known = self._keeps_scale(motion.scale)
         estimate = self._estimate(frame, motion.keyframe_T_cur, Status.TRACKED)
@@ -432,6 +445,7 @@ class VisualOdometry:
 
     def _coast(self, frame: Frame, status: Status) -> VoEstimate:
         """The motion model carries on from the last usable image, in the scale that its velocity has."""
+        self._coasted += 1
         step, variance = self._motion_model.predict(frame.stamp - self._last_stamp), self._motion_model.log_variance
         # The last motion has this scale as far as its covariance holds it.
         last = ScaledPose.of(self._keyframe_T_last, variance).replaced(self._keyframe_T_last)
@@ -448,7 +462,7 @@ class VisualOdometry:
             self._seen = self._tracker.set_keyframe(frame.image, kept)
         self._keyframe, self._map, self._points = frame, known, len(self._seen)
         self._keyframe_T_last = GaussianPose.identity()
-        self._failures = 0
+        self._failures = self._coasted = 0
         self._gate.forget()
 
     def _guess(self, unit: InverseDepths) -> LogScale:

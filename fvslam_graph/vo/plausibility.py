@@ -80,6 +80,7 @@ class MotionGate:
             if not self._insisted(accelerations):
                 return None
             self.insisted = True
+        if innovation > AGREEMENT_GATE:  # believed, though hardly
             twist = error / (stamp - self._believed)
             seconds = float(np.linalg.norm(twist / accelerations)) / AGED
             self._doubts.append(_Doubt(self._believed, twist, max(seconds, stamp - self._believed)))
