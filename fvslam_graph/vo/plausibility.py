@@ -13,6 +13,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 
 MAX_INNOVATION = 225.0  # squared deviations: accelerations have heavy tails, and jolts are not to be doubted,
 AGREEMENT_GATE = chi2_gate(0.999, 6)  # but once in doubt, less
+HARDLY_BELIEVED = 50.0  # beyond which a motion is believed, but leaves open that what was expected is right
 INSISTENCE = 3  # implausible motions in a row that agree with each other: what the images insist on is believed
 AGED = 3.0  # standard deviations, within which a velocity has become so old that it allows for another one
 
@@ -80,7 +81,7 @@ class MotionGate:
             if not self._insisted(accelerations):
                 return None
             self.insisted = True
-        if innovation > AGREEMENT_GATE:  # believed, though hardly
+        if self.insisted or innovation > HARDLY_BELIEVED:
             twist = error / (stamp - self._believed)
             seconds = float(np.linalg.norm(twist / accelerations)) / AGED
             self._doubts.append(_Doubt(self._believed, twist, max(seconds, stamp - self._believed)))
