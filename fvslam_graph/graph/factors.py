@@ -68,6 +68,11 @@ def is_landmark(key: int) -> bool:
     return bool(gtsam.Symbol(key).chr() == ord("l"))
 
 
+def is_scale(key: int) -> bool:
+    """Whether a variable is the logarithm of a scale, or what its source errs by, see `scale_chain`."""
+    return chr(gtsam.Symbol(key).chr()) in "sb"
+
+
 def landmark_key(landmark: int) -> int:
     """The key of a landmark's position in the world."""
     return int(gtsam.symbol("l", landmark))

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.graph.calibration import CALIBRATION, is_camera
-from fvslam_graph.graph.factors import CLOCK, ENU, is_at_fix, is_filed, is_landmark, is_pose
+from fvslam_graph.graph.factors import CLOCK, ENU, is_at_fix, is_filed, is_landmark, is_pose, is_scale
 from fvslam_graph.graph.marginalization import Marginalization, astray
 
 _log = logging.getLogger(__name__)
 
 WEAK_PRIOR_SIGMA = 10.0  # rad, m, of a logarithm: a prior that determines a variable and pulls at nothing
+LOST_SCALE_SIGMA = 0.05  # of the logarithm of a scale, and of a bias of its source, whose measurements are lost
 ANCHOR_SIGMA = 1e-3  # rad and m: the oldest pose within a lag, where what was before is lost
 RELINEARIZE_ROTATION = 1e-3  # rad; a pose that turns by more is linearised again
 RELINEARIZE_CALIBRATION = 1e-4  # of a coefficient of distortion, and of 1000 pixels of focal length, likewise
@@ -50,6 +51,7 @@ class Solver:
         self._updates = 0
         self._relinearised = 0  # number of the update that linearised again what had moved
         self._due = False  # whether the next update is to do so
+        self._last_known = 0, np.eye(6)  # the last pose whose covariance was asked for, and that
         self._begin()
 
     def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
@@ -140,12 +142,16 @@ class Solver:
     def covariance(self, key: int) -> NDArray[np.float64]:
         """Marginal covariance of a variable."""
         covariance: NDArray[np.float64] = self._recovering(lambda: self._isam.marginalCovariance(key))
+        if is_pose(key):
+            self._last_known = key, covariance
         return covariance
 
     def joint_covariance(self, first: int, second: int) -> NDArray[np.float64]:
         """Marginal covariance (12, 12) of two poses."""
         keys = first, second
         joint = self._recovering(lambda: self._isam.jointMarginalCovariance(list(keys)))
+        if is_pose(second):
+            self._last_known = second, joint.at(second, second)
         return np.block([[joint.at(a, b) for b in keys] for a in keys])
 
     def _recovering(self, compute: Callable[[], Any]) -> Any:
@@ -300,13 +306,27 @@ class Solver:
         return bool(dropped)
 
     def _begin_where_it_was(self, values: gtsam.Values) -> None:
-        """Go on from where the path was, without all that was measured: the camera flies on."""
+        """Go on from where the path was, without all that was measured: the camera flies on.
+
+        The last pose whose covariance was asked for keeps it, and the others within the lag keep their places beside
+        it. What told the scale is lost.
+        """
         _log.warning("the graph could not be solved; it begins anew where the camera was")
-        for key in filter(is_landmark, values.keys()):
+        for key in filter(lambda key: is_landmark(key) or is_at_fix(key), values.keys()):
             values.erase(key)
-        self._factors = [(self._factors[-1][0], gtsam.NonlinearFactorGraph())]
+        now = self._factors[-1][0]
+        self._factors = [(now, gtsam.NonlinearFactorGraph())]
+        reference, covariance = self._last_known
+        rigid = gtsam.noiseModel.Isotropic.Sigma(6, ANCHOR_SIGMA)
         for key in values.keys():  # noqa: SIM118
-            self._add(_prior(key, values, ANCHOR_SIGMA))
+            if not (is_pose(key) or is_filed(key)) or not values.exists(reference):
+                self._add(_prior(key, values, LOST_SCALE_SIGMA if is_scale(key) else ANCHOR_SIGMA))
+            elif key == reference:
+                noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
+                self._add(gtsam.PriorFactorPose3(key, values.atPose3(key), noise))
+            else:
+                motion = values.atPose3(reference).between(values.atPose3(key))
+                self._add(gtsam.BetweenFactorPose3(reference, key, motion, rigid))
         self._begin()
         self._advance(self.factors(), values, {key: self._stamps[key] for key in values.keys()})  # noqa: SIM118
 
