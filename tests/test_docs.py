@@ -67,3 +67,9 @@ def test_commands_of_a_page_have_the_options_that_it_gives_them(command):
 
 def test_there_are_snippets_and_commands():
     assert len(SNIPPETS) >= 5 and len(COMMANDS) >= 20
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda page: page.stem)
+def test_no_bullet_is_a_paragraph(page):
+    bullets = re.findall(r"^ *[-*] (?:.+\n?(?: {2,}\S.*\n?)*)", page.read_text(), re.MULTILINE)
+    assert not [bullet for bullet in bullets if len(bullet.split()) > 50]
