@@ -18,7 +18,7 @@ MARGIN = COARSE + 1  # pixels from the rim of the image within which no patch fi
 _OFFSETS = np.arange(SIDE) - (SIDE - 1) / 2
 _GRID = np.stack(np.meshgrid(_OFFSETS, _OFFSETS)).reshape(2, -1)
 _CORNERS = [0, SIDE - 1, -SIDE, -1]  # of this grid
-_ALIGNMENT_ITERATIONS = 5  # of the alignment
+_ALIGNMENT_ITERATIONS = 5
 # Added to what an aligned patch tells of its shift, so that a flat one stays where it is, and of its deformation, which
 # is some 0.1 where residuals are 1 % of the contrast.
 _LEAST = np.array([1e-4, 1e-4, *[1e-2] * 4], np.float32)
@@ -128,7 +128,7 @@ def search(
 
 
 def align(image: Image, patches: Patches, start: Array) -> tuple[Array, Array]:
-    """Move patches by fractions of a pixel to where they fit best, whatever brightness and contrast.
+    """Move patches by fractions of a pixel to where they fit best, whatever their brightness, contrast and deformation.
 
     Source: Baker, Matthews, "Lucas-Kanade 20 years on", IJCV 56(3), 2004, inverse compositional, translations.
 

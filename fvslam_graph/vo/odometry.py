@@ -72,8 +72,8 @@ class _KeyframeMotion:
     evidence: CalibrationEvidence | None = None
 
 
-def _doubt(motion: _KeyframeMotion) -> float:
-    """Squared deviation of the translation, apart from its scale, as a share of its squared length."""
+def _relative_variance(motion: _KeyframeMotion) -> float:
+    """The variance of the translation, apart from its scale, as a share of its squared length."""
     pose = motion.keyframe_T_cur.with_scale_variance(-motion.map.variance)
     return float(np.trace(pose.covariance[3:, 3:]) / max(np.sum(pose.mean.translation() ** 2), 1e-12))
 
@@ -175,7 +175,7 @@ class VisualOdometry:
         self._map_is_weak &= not far
         if standing is None and (far or self._is_worn_out(motion.tracks)):
             self._set_keyframe(frame, motion.tracks, estimate.map)
-        elif motion.scale is not None and (self._map_is_weak or not len(self._map)):
+        elif motion.scale is not None:
             self._map = motion.map  # in whose scale motions from this keyframe go on
         return estimate
 
@@ -212,7 +212,7 @@ class VisualOdometry:
         if located is not None and not (some and self._map_is_weak):
             return located
         if some and (motion := self._from_two_views(frame, tracks)):
-            return motion if located is None else min(located, motion, key=_doubt)
+            return motion if located is None else min(located, motion, key=_relative_variance)
         if far:
             return self._from_map(tracks, self._map)
         return located or self._rotation_only(tracks, rotation, parallax, self._predict(frame))
