@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Image
+from fvslam_graph.features.texture import gradients_around
 
 MIN_TEXTURE = 1e-3  # of the texture across an edge, added to that along it, where there is hardly any
 
@@ -26,20 +26,15 @@ def alignment_bias(image: Image, points: NDArray[np.float32], window: int) -> ND
     Returns:
         (N, 2, 2, 2) by which b_i = sum_jk bias_ijk A_jk, pixels.
     """
-    height, width = image.shape
-    reach = window // 2
-    offsets = np.arange(-reach, reach + 1)
+    offsets = np.arange(window) - window // 2
     across, down = (axis.ravel() for axis in np.meshgrid(offsets, offsets))
-    column, row = np.rint(points).astype(np.intp).T
-    middles = row.clip(reach, height - 1 - reach) * width + column.clip(reach, width - 1 - reach)
-    pixels = middles[:, None] + (down * width + across)
-    x, y = (gradient.ravel()[pixels].astype(np.float32) for gradient in cv2.spatialGradient(image))
+    x, y = gradients_around(image, np.rint(points), window)
     # Sums over each patch of what is in common to all pixels, and of what grows with the offset.
-    moments = np.stack([np.ones(across.size), across, down], axis=1, dtype=np.float32)
-    xx, xy, yy = ((a * b) @ moments for a, b in ((x, x), (x, y), (y, y)))
-    sums = np.array([[xx, xy], [xy, yy]], float).transpose(2, 0, 1, 3)
-    texture, levers = sums[..., 0], sums[..., 1:]
-    least = MIN_TEXTURE * np.trace(texture, axis1=1, axis2=2) + 1e-9
-    texture = texture + least[:, None, None] * np.eye(2)
-    bias: NDArray[np.float64] = np.linalg.solve(texture, levers.reshape(-1, 2, 4)).reshape(-1, 2, 2, 2)
+    moments = np.stack([np.ones(across.size), across, down], dtype=np.float32)
+    xx, xy, yy = ((moments @ (a * b)).astype(float) for a, b in ((x, x), (x, y), (y, y)))
+    least = MIN_TEXTURE * (xx[0] + yy[0]) + 1e-9
+    a, b, d = xx[0] + least, xy[0], yy[0] + least
+    inverse = np.array([[d, -b], [-b, a]]) / (a * d - b * b)
+    levers = np.array([[xx[1:], xy[1:]], [xy[1:], yy[1:]]]).reshape(2, 4, -1)
+    bias: NDArray[np.float64] = (inverse.transpose(2, 0, 1) @ levers.transpose(2, 0, 1)).reshape(-1, 2, 2, 2)
     return bias

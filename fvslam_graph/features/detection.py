@@ -42,13 +42,14 @@ def detect(
     corners = cv2.KeyPoint_convert(keypoints)
     column, row = corners.astype(np.intp).T
     kept = _free(small.shape, taken / factor, BORDER // factor, settings.spacing // factor)[row, column] > 0
-    strength = texture.strength(corners[kept].astype(np.intp))
+    strength = texture.strength[row[kept], column[kept]]
     corners = (corners[kept] + np.float32(0.5)) * factor - np.float32(0.5)
 
     cell = math.ceil(math.sqrt(width * height * PER_CELL / settings.count))
     columns = -(-width // cell)
     cells = _cells(corners, cell, columns)
-    order = np.lexsort((-strength, cells))
+    # By cell, and the strongest first; stable, so that it is the same on all processors.
+    order = np.argsort(cells - strength / (strength.max(initial=0.0) + 1.0), kind="stable")
     cells = cells[order]
     first = np.flatnonzero(np.diff(cells, prepend=-1))
     rank = np.arange(len(cells)) - np.repeat(first, np.diff(first, append=len(cells)))

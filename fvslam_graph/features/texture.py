@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Image
 
-TEXTURE_WINDOW = 5  # pixels of the reduced image
+WINDOW = 5  # pixels of the reduced image
 EDGE = 10.0  # times more texture across an edge than along it: there, the variance along it has doubled
 MIN_TEXTURE_ALONG = 0.01  # of the texture across an edge: the least that any is taken to have along it
 
 
 @dataclass(frozen=True)
 class Texture:
-    """An image and its structure tensors.
+    """An image and how much texture it has.
 
     Attributes:
         image: (H, W) reduced by `factor`.
         factor: Pixels of the original per pixel of this.
-        tensors: (H, W, 3) sums of squared gradients xx, xy and yy around each pixel.
+        strength: (H, W) texture around each pixel along the direction in which there is least (Shi, Tomasi).
     """
 
     image: Image
     factor: int
-    tensors: NDArray[np.float32]
+    strength: NDArray[np.float32]
 
     @classmethod
     def of(cls, image: Image, octave: int) -> Texture:
@@ -35,27 +35,18 @@ class Texture:
         factor = 2**octave
         height, width = (side // factor * factor for side in image.shape)
         small = cv2.resize(image[:height, :width], (width // factor, height // factor), interpolation=cv2.INTER_AREA)
-        x, y = cv2.spatialGradient(small)
-        products = (cv2.multiply(a, b, dtype=cv2.CV_32F) for a, b in ((x, x), (x, y), (y, y)))
-        return cls(
-            small,
-            factor,
-            cv2.merge([cv2.boxFilter(product, -1, (TEXTURE_WINDOW, TEXTURE_WINDOW)) for product in products]),
-        )
-
-    def strength(self, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
-        """The texture (N,) along the direction in which pixels (N, 2) of the reduced image have least (Shi, Tomasi)."""
-        return self._weak(*self.tensors[pixels[:, 1], pixels[:, 0]].T.astype(float))[0]
+        return cls(small, factor, cv2.cornerMinEigenVal(small, WINDOW))
 
     def displacement_covariances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Covariances (N, 2, 2) of how far points (N, 2) seem to move, in variances of one on a corner.
 
         Along an edge there is little that tells how far it went (the aperture problem), and alignments slide along it.
         """
-        height, width = self.image.shape
-        column, row = ((points + 0.5) / self.factor).astype(np.intp).T
-        xx, xy, yy = self.tensors[row.clip(0, height - 1), column.clip(0, width - 1)].T.astype(float)
-        weak, strong = self._weak(xx, xy, yy)
+        middles = np.floor((points + 0.5) / self.factor)
+        x, y = gradients_around(self.image, middles, WINDOW)
+        xx, xy, yy = ((a * b).sum(axis=0).astype(float) for a, b in ((x, x), (x, y), (y, y)))
+        middle, radius = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+        weak, strong = middle - radius, middle + radius
         excess = (strong / np.maximum(weak, MIN_TEXTURE_ALONG * strong + 1e-9) / EDGE) ** 4
         # (S - weak) / (strong - weak) projects on the direction across, and its complement on that along the edge.
         share = excess / np.maximum(strong - weak, 1e-9)
@@ -63,10 +54,18 @@ class Texture:
         covariances: NDArray[np.float64] = np.eye(2) + along.reshape(-1, 2, 2)
         return covariances
 
-    @staticmethod
-    def _weak(
-        xx: NDArray[np.float64], xy: NDArray[np.float64], yy: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Eigenvalues, the smaller ones first."""
-        middle, radius = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
-        return middle - radius, middle + radius
+
+def gradients_around(
+    image: Image, middles: NDArray[np.floating], side: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Gradients (Sobel) along x and y in patches around whole pixels (N, 2), (side^2, N) each, row by row.
+
+    Where a patch would reach over the rim of the image, it is the nearest one that does not.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(image, (side + 2, side + 2))
+    column, row = (middles.astype(np.intp) - side // 2 - 1).clip(0, np.subtract(windows.shape[1::-1], 1)).T
+    patches = windows[row, column].transpose(1, 2, 0).astype(np.float32, order="C")
+    down = patches[:-2] + 2 * patches[1:-1] + patches[2:]
+    across = patches[:, :-2] + 2 * patches[:, 1:-1] + patches[:, 2:]
+    x, y = down[:, 2:] - down[:, :-2], across[2:] - across[:-2]
+    return x.reshape(side**2, -1), y.reshape(side**2, -1)

@@ -55,6 +55,7 @@ class GraphFusion(Fusion):
         # Online poses of the newest frame and of the one that its motion starts from. Where this is before the last
         # P_f, what the motion to P_f erred about is not counted: the next motion does without it.
         self._poses: dict[int, GaussianPose] = {}
+        self._earlier = 0, np.zeros(3)  # where a motion may start before the last P_f, and how far P_f was moved, metres
         self._published: dict[int, Array] = {}  # where P_f was, at each interleaved frame
         # Of the steps by which P_f corrected the path: what online poses have not taken up yet (m, in the world), and
         # which share of it is left a frame later.
@@ -66,7 +67,7 @@ class GraphFusion(Fusion):
         self._newest = frame.index
         self._step = self._left * self._step
         self.graph.add_odometry(frame.stamp, step)
-        start = self._poses.get(step.previous)
+        start = self._poses.get(step.previous) or self._before(step.previous)
         if start is None:  # beyond the lag, or the first frame
             self._poses = {frame.index: super().pose}
         else:
@@ -109,7 +110,8 @@ class GraphFusion(Fusion):
         if self._settings.online == "continuous":
             # What lies behind the last P_f in the scale in which it was published, the motion since in that of now.
             away = (self._published_scale() - 1) * self.graph.positions([before])[0]
-        self._poses = {frame: _moved(self.graph.pose(frame), away) for frame in self._poses if self.graph.has(frame)}
+        self._earlier = min(self._poses), away
+        self._poses = {self._newest: _moved(self.graph.pose(self._newest), away)}
         self._reference = ScaledPose.of(self._poses[self._newest])
         if self._settings.online == "continuous":
             self._left = math.exp(-1 / (self._newest - before))
@@ -117,6 +119,11 @@ class GraphFusion(Fusion):
         self._published[self._newest] = self.reference.mean.translation()
         self._enu = self.graph.enu_T_camera(self._newest)
         return self.motion if fused is None else fused
+
+    def _before(self, frame: int) -> GaussianPose | None:
+        """The online pose of the frame from which motions started before the last P_f, if it is that and in the graph."""
+        earlier, away = self._earlier
+        return _moved(self.graph.pose(frame), away) if frame == earlier and self.graph.has(frame) else None
 
     def calibrate(self, evidence: CalibrationEvidence) -> None:
         """Add what images say of the calibration of the file."""

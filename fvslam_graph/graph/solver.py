@@ -51,6 +51,7 @@ class Solver:
         self._updates = 0
         self._relinearised = 0  # number of the update that linearised again what had moved
         self._due = False  # whether the next update is to do so
+        self._covariances: dict[int, NDArray[np.float64]]  # that were asked for since the last update
         self._last_known = 0, np.eye(6)  # the last pose whose covariance was asked for, and that
         self._begin()
 
@@ -64,6 +65,7 @@ class Solver:
             EstimationError: The solver cannot recover.
         """
         now = max(stamps.values())
+        self._covariances = {}
         self._factors.append((now, factors))
         self._stamps |= stamps
         if any(map(is_landmark, stamps)):
@@ -141,17 +143,19 @@ class Solver:
 
     def covariance(self, key: int) -> NDArray[np.float64]:
         """Marginal covariance of a variable."""
-        covariance: NDArray[np.float64] = self._recovering(lambda: self._isam.marginalCovariance(key))
+        if key not in self._covariances:
+            self._covariances[key] = self._recovering(lambda: self._isam.marginalCovariance(key))
         if is_pose(key):
-            self._last_known = key, covariance
-        return covariance
+            self._last_known = key, self._covariances[key]
+        return self._covariances[key]
 
     def joint_covariance(self, first: int, second: int) -> NDArray[np.float64]:
         """Marginal covariance (12, 12) of two poses."""
         keys = first, second
         joint = self._recovering(lambda: self._isam.jointMarginalCovariance(list(keys)))
+        self._covariances |= {key: joint.at(key, key) for key in keys}
         if is_pose(second):
-            self._last_known = second, joint.at(second, second)
+            self._last_known = second, self._covariances[second]
         return np.block([[joint.at(a, b) for b in keys] for a in keys])
 
     def _recovering(self, compute: Callable[[], Any]) -> Any:
@@ -167,6 +171,7 @@ class Solver:
         return self._solver if self._settings.lag is None else self._solver.getISAM2()
 
     def _begin(self) -> None:
+        self._covariances = {}
         self._solver = self._empty()
         self._marginalization = Marginalization()
 

@@ -15,7 +15,15 @@ from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.ransac import absolute_pose
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
-from fvslam_graph.vo.relative_pose import CONVERGED_STEP, KERNEL, START_NOISE, WIDTHS, a_sample, ransac_options
+from fvslam_graph.vo.relative_pose import (
+    CONVERGED_STEP,
+    KERNEL,
+    RELAXED,
+    START_NOISE,
+    WIDTHS,
+    a_sample,
+    ransac_options,
+)
 from fvslam_graph.vo.reprojection import reprojection_errors
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
@@ -99,9 +107,9 @@ def refine_absolute_pose(
         if not np.linalg.cond(information) < 1e14:
             return None
         step = -np.linalg.solve(information, weighted.T @ errors.values.ravel())
-        keyframe_T_cur = keyframe_T_cur.retract(step)
+        keyframe_T_cur = keyframe_T_cur.retract(RELAXED * step if width == 1 else step)
         noise = float(np.clip(width * noise * errors.deviation, *NOISE))
-        if width == 1 and np.linalg.norm(step[:3]) < CONVERGED_STEP:
+        if width == 1 and step @ information @ step < CONVERGED_STEP**2:
             break
     errors = reprojection_errors(keyframe_T_cur, rays, tracks, depths, camera, noise)
     agree = errors.agree
@@ -116,6 +124,6 @@ def refine_absolute_pose(
         return None
     jacobian = errors.J_pose[agree].reshape(-1, 6)
     weighted = jacobian / np.repeat(1 + errors.squares[agree] / KERNEL**2, 2)[:, None]
-    pull = weighted.T @ errors.J_calibration[agree].reshape(-1, 2)
+    pull = weighted.T @ errors.J_calibration()[agree].reshape(-1, 2)
     J_calibration: Array = -np.linalg.inv(weighted.T @ jacobian) @ pull
     return AbsolutePose(GaussianPose(keyframe_T_cur, covariance), agree, noise, J_calibration)

@@ -31,6 +31,7 @@ MIN_TRACKS = 10  # on the ground, for a first guess
 _RATIOS = np.geomspace(0.05, 4.0, 16)  # baseline over height: what is tried where nothing is expected
 LIMIT = 2.0  # tolerances beyond which a patch counts for less, or is no ground; where residuals are smaller,
 KERNEL = 4.0  # deviations: so many that relief is averaged
+ITERATIONS, CONVERGED = 6, 0.1  # at most, and deviations of a step after which little changes
 MIN_SPREAD = 0.05  # of what patches may err: what they do, at least
 LOOK_AGAIN = 1.1  # times the distance that was expected, or less by as much,
 MAX_LOOKS = 3  # for so many looks at most
@@ -208,7 +209,7 @@ class GroundAligner:
         How far patches may lie off tells them from what is no ground. Most of them tell how far they do: where that is
         little, what lies off by more is a kerb or a wall, which would make the ground seem farther away.
         """
-        for _ in range(6):
+        for _ in range(ITERATIONS):
             length = float(np.linalg.norm(plane))
             if not length > 0:
                 return None
@@ -221,7 +222,9 @@ class GroundAligner:
             # Only the components across the normal are known beforehand.
             across = (np.eye(3) - np.outer(self.normal, self.normal)) / (self.normal_sigma * length) ** 2
             normal_matrix = (ray * information[:, None]).T @ ray + across
-            plane = np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.values)
+            before, plane = plane, np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.values)
+            if (plane - before) @ normal_matrix @ (plane - before) < CONVERGED**2:
+                break
         patches = int((np.abs(error) < LIMIT).sum())
         along = plane / np.linalg.norm(plane)
         # Of what the patches err on their own, and of what the motion makes them err together.

@@ -29,7 +29,10 @@ START_NOISE = 0.2  # pixels, of a track along each axis, until residuals tell it
 MIN_NOISE = 0.05  # and what they can tell at least
 WIDTHS = (8, 3, 1, 1, 1, 1, 1, 1)  # limits within which tracks agree, by iteration: from a rough start, few do
 FOUND = 2  # the first of these for what was found by all tracks
-CONVERGED_STEP = 1e-5  # rad, of a step
+CONVERGED_STEP = 0.1  # deviations of the motion that a step goes
+# Of a step with weights: where errors are normal, the loss bends by three quarters of what its weights say, so that such
+# steps alone would leave a quarter of the way each time.
+RELAXED = 4 / 3
 SAME = 1e-3  # rad between rotations, and ten times that between directions, of one and the same solution
 CLEARLY = 4.0  # deviations beyond which a match does not count
 MAX_STEP = 0.1  # rad, step of the refinement
@@ -290,11 +293,11 @@ def _refine(
         information = weighted.T @ jacobian
         information[np.diag_indices(5)] += 1e-9 * np.trace(information) + 1e-12  # fewer than five may agree
         step = -np.linalg.solve(information, weighted.T @ distance)
-        length = float(np.linalg.norm(step))
-        step *= min(1.0, MAX_STEP / max(length, 1e-12))
+        deviations = math.sqrt(step @ information @ step) * width / noise
+        step *= min(RELAXED if width == 1 else 1.0, MAX_STEP / max(math.sqrt(step @ step), 1e-12))
         rotation = rotation.retract(step[:3])
         direction = gtsam.Unit3(direction).retract(step[3:]).point3()
-        if width == 1 and length < CONVERGED_STEP:
+        if width == 1 and deviations < CONVERGED_STEP:
             break
     distance, jacobian = epipolar_distance(matches.rays, rotation, direction)
     return _Fit(rotation, direction, matches, distance, jacobian, matches.noise(distance, limit))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import gtsam
@@ -27,7 +28,6 @@ class ReprojectionErrors:
     Attributes:
         values: (N, 2).
         J_pose: (N, 2, 6) in the tangent of keyframe_T_cur.
-        J_calibration: (N, 2, 2) with the logarithm of the focal length, and with k1, as in `calibration_jacobian`.
         J_common: (N, 2, S) what each of the errors that depths share adds to them.
         sharp: (N,) whether the texture tells much across the line.
         ahead: (N,) whether the point is seen before the camera, apart from noise.
@@ -35,10 +35,14 @@ class ReprojectionErrors:
 
     values: Array
     J_pose: Array
-    J_calibration: Array
     J_common: Array
     sharp: NDArray[np.bool_]
     ahead: NDArray[np.bool_]
+    _calibration: Callable[[], Array]
+
+    def J_calibration(self) -> Array:
+        """(N, 2, 2) with the logarithm of the focal length, and with k1, as in `calibration_jacobian`."""
+        return self._calibration()
 
     @property
     def squares(self) -> Array:
@@ -100,8 +104,6 @@ def reprojection_errors(
     J_pose[:, 0] = camera.fx * np.stack([x * y, -(1 + x * x), y, -near, zero, near * x], axis=1)
     J_pose[:, 1] = camera.fy * np.stack([1 + y * y, -x * y, -x, zero, -near, near * y], axis=1)
 
-    J_calibration = _calibration_jacobian(rays[:, :2], (tracks.current - centre) / focal, R, (xy, depth), focal)
-
     speed = np.linalg.norm(line, axis=1)
     along = np.where(speed[:, None] > 1e-6, line, [1.0, 0.0]) / np.where(speed > 1e-6, speed, 1.0)[:, None]
     axes = np.stack([np.stack([-along[:, 1], along[:, 0]], axis=1), along], axis=1)
@@ -117,7 +119,13 @@ def reprojection_errors(
     J_common[:, 1] = (speed / sigma)[:, None] * depths.common
     values = (white @ error[:, :, None])[:, :, 0]
     ahead = likeliest * speed > -AGREES * noise
-    return ReprojectionErrors(values, white @ J_pose, white @ J_calibration, J_common, S[:, 0, 0] < 2, ahead)
+
+    def calibration() -> Array:
+        there = (tracks.current - centre) / focal
+        changes: Array = white @ _calibration_jacobian(rays[:, :2], there, R, (xy, depth), focal)
+        return changes
+
+    return ReprojectionErrors(values, white @ J_pose, J_common, S[:, 0, 0] < 2, ahead, calibration)
 
 
 def _calibration_jacobian(seen: Array, there: Array, R: Array, expected: tuple[Array, Array], focal: Array) -> Array:

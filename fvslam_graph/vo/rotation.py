@@ -28,8 +28,8 @@ def fit_rotation(
     b = current / np.linalg.norm(current, axis=1, keepdims=True)
     weight = np.ones(len(a))
     for _ in range(_ROTATION_ITERATIONS):
-        u, _, vt = np.linalg.svd((a * weight[:, None]).T @ b)
-        rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
-        residual = focal * np.linalg.norm(a - b @ rotation.T, axis=1)
+        rotation = gtsam.Rot3.ClosestTo((a * weight[:, None]).T @ b)
+        off = a - b @ rotation.matrix().T
+        residual = focal * np.sqrt((off * off).sum(axis=1))
         weight = 1 / np.maximum(residual, 0.1)
-    return gtsam.Rot3(rotation), residual
+    return rotation, residual

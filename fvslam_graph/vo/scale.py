@@ -21,6 +21,7 @@ from fvslam_graph.vo.scale_filter import ScaleFilter
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
 MIN_COMMON = 10  # tracks of known depth that tell a scale
+RATIO_ITERATIONS, CONVERGED = 10, 0.01  # at most, and deviations of a step after which nothing changes
 
 
 class MetricScale:
@@ -98,9 +99,12 @@ class MetricScale:
         log_ratio = np.log(unit.values / known.values)
         sigma = np.hypot(unit.sigmas / unit.values, known.sigmas / known.values)
         mean = median(log_ratio)
-        for _ in range(10):
+        for _ in range(RATIO_ITERATIONS):
             weight = 1 / (sigma**2 * (1 + ((log_ratio - mean) / sigma / 2) ** 2))
-            mean = float((weight * log_ratio).sum() / weight.sum())
+            information, before = float(weight.sum()), mean
+            mean = float((weight * log_ratio).sum()) / information
+            if (mean - before) ** 2 * information < CONVERGED**2:
+                break
         spread = float((weight**2 * (log_ratio - mean) ** 2).sum() / weight.sum() ** 2)
         return LogScale(mean, spread + self.settings.map_sigma**2)
 
