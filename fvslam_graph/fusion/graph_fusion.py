@@ -55,7 +55,7 @@ class GraphFusion(Fusion):
         # Online poses of the newest frame and of the one that its motion starts from. Where this is before the last
         # P_f, what the motion to P_f erred about is not counted: the next motion does without it.
         self._poses: dict[int, GaussianPose] = {}
-        self._earlier = 0, np.zeros(3)  # where a motion may start before the last P_f, and how far P_f was moved, metres
+        self._earlier = 0, np.zeros(3)  # where motions started before the last P_f, and metres by which it moved
         self._published: dict[int, Array] = {}  # where P_f was, at each interleaved frame
         # Of the steps by which P_f corrected the path: what online poses have not taken up yet (m, in the world), and
         # which share of it is left a frame later.
@@ -121,7 +121,7 @@ class GraphFusion(Fusion):
         return self.motion if fused is None else fused
 
     def _before(self, frame: int) -> GaussianPose | None:
-        """The online pose of the frame from which motions started before the last P_f, if it is that and in the graph."""
+        """The online pose of the frame where motions started before the last P_f; None of another, or beyond the lag."""
         earlier, away = self._earlier
         return _moved(self.graph.pose(frame), away) if frame == earlier and self.graph.has(frame) else None
 

@@ -30,8 +30,8 @@ MIN_NOISE = 0.05  # and what they can tell at least
 WIDTHS = (8, 3, 1, 1, 1, 1, 1, 1)  # limits within which tracks agree, by iteration: from a rough start, few do
 FOUND = 2  # the first of these for what was found by all tracks
 CONVERGED_STEP = 0.1  # deviations of the motion that a step goes
-# Of a step with weights: where errors are normal, the loss bends by three quarters of what its weights say, so that such
-# steps alone would leave a quarter of the way each time.
+# Of a step with weights: where errors are normal, the loss bends by three quarters of what its weights say, so that
+# such steps alone would leave a quarter of the way each time.
 RELAXED = 4 / 3
 SAME = 1e-3  # rad between rotations, and ten times that between directions, of one and the same solution
 CLEARLY = 4.0  # deviations beyond which a match does not count
