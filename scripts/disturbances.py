@@ -99,7 +99,7 @@ def main(
     start, stop = (int(part) if part else None for part in frames.split(":"))
     sequence = open_sequence(recording).select(start, stop)
     config = load_config(settings=[f"mode={mode}", f"seed={seed}", *(settings or [])])
-    print(f"{sequence.name}, {mode}, {len(sequence)} frames")
+    print(f"{sequence.name}, {config.mode}, {len(sequence)} frames")
     print(f"{'':11} {'error m':>9} {'sigma m':>9} {'worst m':>9} {'during':>7} {'later':>7}  recovered after")
     for name in only or DISTURBANCES:
         disturbed = DISTURBANCES[name](sequence, round(at * len(sequence)), np.random.default_rng(seed))

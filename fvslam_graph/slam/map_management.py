@@ -81,8 +81,8 @@ class MapManager:
         here = state.positions
         taken = self.camera.project(here)
         taken = taken[self.camera.contains(taken)]
-        if len(here):
-            self.distance = float(np.median(np.linalg.norm(here, axis=1)))
+        if (known := _of_known_distance(state)).any():
+            self.distance = float(np.median(np.linalg.norm(here[known], axis=1)))
         # Some landmarks of the map will leave the view or not be found.
         needed = self.settings.min_landmarks / max(self._share, MIN_MEASURED_SHARE)
         if len(state) < needed and frame.image is not None:
@@ -129,6 +129,14 @@ class MapManager:
         self.history = self.history.begun(ids, frame.index, tracks)
         self.finder.remember(frame, ids, pixels, map_T_camera)
         return state
+
+
+def _of_known_distance(state: State) -> NDArray[np.bool_]:
+    """(N,) which landmarks are not as well endlessly far away: where the map errs, most of them may be."""
+    rows = state.parts[1][:, 2]
+    known = np.ones(len(state), bool)
+    known[: len(rows)] = state.inverse_depth[:, 2] > np.sqrt(np.diagonal(state.covariance)[rows])
+    return known
 
 
 def spread_out(candidates: Array, taken: Array, count: int) -> NDArray[np.intp]:
