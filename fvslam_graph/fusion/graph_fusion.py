@@ -121,7 +121,7 @@ class GraphFusion(Fusion):
         return self.motion if fused is None else fused
 
     def _before(self, frame: int) -> GaussianPose | None:
-        """The online pose of the frame where motions started before the last P_f; None of another, or beyond the lag."""
+        """The online pose of the frame where motions started before the last P_f; None of others or beyond the lag."""
         earlier, away = self._earlier
         return _moved(self.graph.pose(frame), away) if frame == earlier and self.graph.has(frame) else None
 

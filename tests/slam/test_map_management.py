@@ -9,6 +9,7 @@ import pytest
 
 from fvslam_graph.core.config import SlamSettings
 from fvslam_graph.core.sequence import Frame
+from fvslam_graph.slam.landmark_history import NO_TRACK
 from fvslam_graph.slam.map_management import MapManager
 
 
@@ -18,9 +19,8 @@ def test_landmarks_that_may_be_endlessly_far_away_tell_no_distance(random_state,
     inverse_depth = state.inverse_depth.copy()
     inverse_depth[:, 2] = 1e-12
     state = replace(state, inverse_depth=inverse_depth)
-    finder = Mock()
-    finder.forget.return_value = None
-    manager = MapManager(camera, SlamSettings(), finder)
+    manager = MapManager(camera, SlamSettings(), Mock())
+    manager.history = manager.history.begun(state.ids, 0, np.full(len(state), NO_TRACK))
     frame = Frame(0, 0.0, None)
     manager.add_landmarks(state, frame, None, gtsam.Pose3())
     assert manager.distance == pytest.approx(np.median(np.linalg.norm(state.points, axis=1)))
