@@ -81,8 +81,8 @@ class MapManager:
         here = state.positions
         taken = self.camera.project(here)
         taken = taken[self.camera.contains(taken)]
-        if (known := _of_known_distance(state)).any():
-            self.distance = float(np.median(np.linalg.norm(here[known], axis=1)))
+        if (told := _of_known_distance(state)).any():
+            self.distance = float(np.median(np.linalg.norm(here[told], axis=1)))
         # Some landmarks of the map will leave the view or not be found.
         needed = self.settings.min_landmarks / max(self._share, MIN_MEASURED_SHARE)
         if len(state) < needed and frame.image is not None:

@@ -39,6 +39,9 @@ MAX_STEP = 0.1  # rad, step of the refinement
 ROUGH = 5  # iterations of PoseLib's refinement, which is done again with all tracks
 MOST = 0.8  # of the tracks; where these agree with the motion that is expected,
 CERTAIN_DIRECTION = 0.002  # rad, and fix the direction of travel as well as this, RANSAC finds nothing else
+# Of RANSAC, times that of the settings: within a wide one, a motion that is nearly right for all tracks has more
+# inliers than one that is right for most.
+THRESHOLDS = (1.0, 0.25)
 RANSAC_TRACKS = 120  # that RANSAC looks at, at least, where there are more
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
@@ -262,9 +265,10 @@ def _starts(
     for start in expected:
         yield start, WIDTHS
     some = tracks[a_sample(len(tracks))]
-    options = ransac_options(settings.ransac_threshold, settings, seed)
-    for start in relative_poses(some.keyframe, some.current, camera, options):
-        yield start, WIDTHS[FOUND:]
+    for share in THRESHOLDS:
+        options = ransac_options(share * settings.ransac_threshold, settings, seed)
+        for start in relative_poses(some.keyframe, some.current, camera, options):
+            yield start, WIDTHS[FOUND:]
 
 
 def _refine(
