@@ -39,9 +39,9 @@ MAX_STEP = 0.1  # rad, step of the refinement
 ROUGH = 5  # iterations of PoseLib's refinement, which is done again with all tracks
 MOST = 0.8  # of the tracks; where these agree with the motion that is expected,
 CERTAIN_DIRECTION = 0.002  # rad, and fix the direction of travel as well as this, RANSAC finds nothing else
-# Of RANSAC, times that of the settings: within a wide one, a motion that is nearly right for all tracks has more
-# inliers than one that is right for most.
-THRESHOLDS = (1.0, 0.25)
+# Of RANSAC's threshold, where no depths are known that would choose: within a wide one, a motion that is nearly right
+# for all tracks has more inliers than one that is right for most.
+NARROW = 0.25
 RANSAC_TRACKS = 120  # that RANSAC looks at, at least, where there are more
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
@@ -120,7 +120,7 @@ def estimate_relative_pose(
     matches = _MatchedTracks(camera, tracks, MatchedRays.of(camera, tracks), known)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
     fits: list[_Fit] = []
-    for start, widths in _starts(tracks, camera, settings, seed, expected):
+    for start, widths in _starts(matches, settings, seed, expected):
         if np.linalg.norm(start.translation()) > 0 and (fit := _refine(start, matches, limit, widths, fits)):
             fits.append(fit)
             if fit.is_beyond_doubt(limit):
@@ -259,15 +259,15 @@ class _Fit:
 
 
 def _starts(
-    tracks: Tracks, camera: Camera, settings: VoSettings, seed: int, expected: Iterable[gtsam.Pose3]
+    matches: _MatchedTracks, settings: VoSettings, seed: int, expected: Iterable[gtsam.Pose3]
 ) -> Iterator[tuple[gtsam.Pose3, Sequence[int]]]:
     """Motions that may be near the right one, the cheapest first, each with the widths that it is refined by."""
     for start in expected:
         yield start, WIDTHS
-    some = tracks[a_sample(len(tracks))]
-    for share in THRESHOLDS:
+    some = matches.tracks[a_sample(len(matches.tracks))]
+    for share in (1.0, NARROW) if matches.known is None else (1.0,):
         options = ransac_options(share * settings.ransac_threshold, settings, seed)
-        for start in relative_poses(some.keyframe, some.current, camera, options):
+        for start in relative_poses(some.keyframe, some.current, matches.camera, options):
             yield start, WIDTHS[FOUND:]
 
 
