@@ -62,6 +62,8 @@ def gradients_around(
 
     Where a patch would reach over the rim of the image, it is the nearest one that does not.
     """
+    if not len(middles):  # as in images smaller than a patch
+        return np.empty((side**2, 0), np.float32), np.empty((side**2, 0), np.float32)
     windows = np.lib.stride_tricks.sliding_window_view(image, (side + 2, side + 2))
     column, row = (middles.astype(np.intp) - side // 2 - 1).clip(0, np.subtract(windows.shape[1::-1], 1)).T
     patches = windows[row, column].transpose(1, 2, 0).astype(np.float32, order="C")

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from fvslam_graph.features.alignment_bias import alignment_bias
 from fvslam_graph.features.texture import Texture, gradients_around
 
 
@@ -45,5 +46,9 @@ def test_gradients_are_those_of_the_image(texture):
             assert np.array_equal(patch.reshape(5, 5), expected[y - 2 : y + 3, x - 2 : x + 3])
 
 
-def test_without_points():
-    assert Texture.of(np.zeros((48, 64), np.uint8), 1).displacement_covariances(np.empty((0, 2))).shape == (0, 2, 2)
+@pytest.mark.parametrize("size", [(48, 64), (9, 10)])
+def test_without_points(size):
+    """Also in an image that is smaller than a patch."""
+    image, none = np.zeros(size, np.uint8), np.empty((0, 2))
+    assert Texture.of(image, 1).displacement_covariances(none).shape == (0, 2, 2)
+    assert alignment_bias(image, none.astype(np.float32), 11).shape == (0, 2, 2, 2)
