@@ -67,7 +67,7 @@ class GraphFusion(Fusion):
         self._newest = frame.index
         self._step = self._left * self._step
         self.graph.add_odometry(frame.stamp, step)
-        start = self._poses.get(step.previous) or self._before(step.previous)
+        start = self._poses.get(step.previous) or self._earlier_pose(step.previous)
         if start is None:  # beyond the lag, or the first frame
             self._poses = {frame.index: super().pose}
         else:
@@ -120,7 +120,7 @@ class GraphFusion(Fusion):
         self._enu = self.graph.enu_T_camera(self._newest)
         return self.motion if fused is None else fused
 
-    def _before(self, frame: int) -> GaussianPose | None:
+    def _earlier_pose(self, frame: int) -> GaussianPose | None:
         """The online pose of the frame where motions started before the last P_f; None of others or beyond the lag."""
         earlier, away = self._earlier
         return _moved(self.graph.pose(frame), away) if frame == earlier and self.graph.has(frame) else None

@@ -31,6 +31,8 @@ class ReprojectionErrors:
         J_common: (N, 2, S) what each of the errors that depths share adds to them.
         sharp: (N,) whether the texture tells much across the line.
         ahead: (N,) whether the point is seen before the camera, apart from noise.
+        J_calibration: Works out how they change with the logarithm of the focal length, and with k1, (N, 2, 2), as in
+            `calibration_jacobian`: only the last of many steps asks.
     """
 
     values: Array
@@ -38,11 +40,7 @@ class ReprojectionErrors:
     J_common: Array
     sharp: NDArray[np.bool_]
     ahead: NDArray[np.bool_]
-    _calibration: Callable[[], Array]
-
-    def J_calibration(self) -> Array:
-        """(N, 2, 2) with the logarithm of the focal length, and with k1, as in `calibration_jacobian`."""
-        return self._calibration()
+    J_calibration: Callable[[], Array]
 
     @property
     def squares(self) -> Array:
@@ -120,12 +118,12 @@ def reprojection_errors(
     values = (white @ error[:, :, None])[:, :, 0]
     ahead = likeliest * speed > -AGREES * noise
 
-    def calibration() -> Array:
+    def J_calibration() -> Array:
         there = (tracks.current - centre) / focal
         changes: Array = white @ _calibration_jacobian(rays[:, :2], there, R, (xy, depth), focal)
         return changes
 
-    return ReprojectionErrors(values, white @ J_pose, J_common, S[:, 0, 0] < 2, ahead, calibration)
+    return ReprojectionErrors(values, white @ J_pose, J_common, S[:, 0, 0] < 2, ahead, J_calibration)
 
 
 def _calibration_jacobian(seen: Array, there: Array, R: Array, expected: tuple[Array, Array], focal: Array) -> Array:
