@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -22,7 +22,7 @@ from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.tracks import FeatureTracker, Tracks
 from fvslam_graph.core.trajectory import Status
-from fvslam_graph.core.vo_estimate import CalibrationEvidence, ScaleStep, VoEstimate
+from fvslam_graph.core.vo_estimate import ScaleStep, VoEstimate
 from fvslam_graph.features.detection import BORDER, detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
@@ -32,6 +32,7 @@ from fvslam_graph.vo.deformation import undeformed
 from fvslam_graph.vo.depth import triangulate, typical_depth
 from fvslam_graph.vo.epipolar import MatchedRays, rays
 from fvslam_graph.vo.ground_plane import GroundAligner
+from fvslam_graph.vo.keyframe_motion import KeyframeMotion, relative_variance, standing, turning
 from fvslam_graph.vo.lost_keyframes import LostKeyframe, LostKeyframes
 from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
 from fvslam_graph.vo.motion_model import ConstantVelocity
@@ -40,42 +41,11 @@ from fvslam_graph.vo.relative_pose import TwoViews, estimate_relative_pose
 from fvslam_graph.vo.rotation import fit_rotation
 from fvslam_graph.vo.scale import MetricScale
 
-# Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
-ROTATION_AMBIGUITY = 0.1
 MIN_TRACK_RATIO = 2  # times the inliers needed: fewer tracks, and none is left apart
 SHARE_AFTER_A_GAP = 0.7  # of the tracks that a motion explains at least: over a gap, half agree by chance now and then
 MAX_FAILURES = 3  # textured images in a row that do not fit the keyframe before it is given up
 GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
 CARRIED = 0.25  # likewise, up to which the speed carries a scale over images without a map: within a factor of 1.6
-
-
-@dataclass(frozen=True)
-class _KeyframeMotion:
-    """A measured motion against the keyframe.
-
-    Attributes:
-        keyframe_T_cur: Pose and its covariance.
-        tracks: Those that agree with it.
-        map: Of the keyframe, with what was learnt.
-        scale: Of the baseline, where it was estimated.
-        parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
-        J_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
-        evidence: What two views say of these.
-    """
-
-    keyframe_T_cur: GaussianPose
-    tracks: Tracks
-    map: MetricMap
-    scale: ScaleStep | None = None
-    parallax: float = math.nan
-    J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
-    evidence: CalibrationEvidence | None = None
-
-
-def _relative_variance(motion: _KeyframeMotion) -> float:
-    """The variance of the translation, apart from its scale, as a share of its squared length."""
-    pose = motion.keyframe_T_cur.with_scale_variance(-motion.map.variance)
-    return float(np.trace(pose.covariance[3:, 3:]) / max(np.sum(pose.mean.translation() ** 2), 1e-12))
 
 
 def _tracker(settings: FeatureSettings) -> FeatureTracker:
@@ -191,7 +161,7 @@ class VisualOdometry:
         inside = np.all((pixels > BORDER) & (pixels < far), axis=1)
         self._set_keyframe(frame, estimate.tracks[inside], estimate.map)
 
-    def _measure(self, frame: Frame, tracks: Tracks) -> _KeyframeMotion | None:
+    def _measure(self, frame: Frame, tracks: Tracks) -> KeyframeMotion | None:
         """The motion that the image shows, and how much parallax it has; None where nothing fits."""
         with self._stopwatch.stage("pose"):
             rotation, unexplained = fit_rotation(
@@ -205,19 +175,19 @@ class VisualOdometry:
 
     def _estimate_motion(
         self, frame: Frame, tracks: Tracks, rotation: gtsam.Rot3, parallax: float
-    ) -> _KeyframeMotion | None:
+    ) -> KeyframeMotion | None:
         """Two views where they tell most, else the map, else what is left; None where nothing fits."""
         far, some = parallax > self.settings.keyframe_parallax, parallax > self.settings.min_parallax
         located = None if far else self._from_map(tracks, self._map)
         if located is not None and not (some and self._map_is_weak):
             return located
         if some and (motion := self._from_two_views(frame, tracks)):
-            return motion if located is None else min(located, motion, key=_relative_variance)
+            return motion if located is None else min(located, motion, key=relative_variance)
         if far:
             return self._from_map(tracks, self._map)
         return located or self._rotation_only(tracks, rotation, parallax, self._predict(frame))
 
-    def _gated(self, frame: Frame, motion: _KeyframeMotion) -> _KeyframeMotion | None:
+    def _gated(self, frame: Frame, motion: KeyframeMotion) -> KeyframeMotion | None:
         """The motion with what may be wrong about it; None where the camera can hardly have moved so."""
         assert self._keyframe is not None
         pose = self._gate.apply(
@@ -256,20 +226,18 @@ class VisualOdometry:
         rotation, unexplained = fit_rotation(rays(self.camera, last), rays(self.camera, current), self.camera.fx)
         return rotation if median(unexplained) < self.settings.static_parallax else None
 
-    def _static(self, tracks: Tracks, shaken: gtsam.Rot3) -> _KeyframeMotion:
-        """No translation, with the uncertainty of a parallax that counts as none."""
-        hidden = self.settings.static_parallax / self.camera.fx
-        sigmas = np.repeat([hidden, hidden * self._typical_depth()], 3)
-        step = GaussianPose(gtsam.Pose3(shaken, np.zeros(3)), np.diag(sigmas**2))
-        return _KeyframeMotion(self._keyframe_T_last.compose(step), tracks, self._map)
+    def _static(self, tracks: Tracks, shaken: gtsam.Rot3) -> KeyframeMotion:
+        """No translation, since where the camera last moved."""
+        step = standing(shaken, self.settings.static_parallax / self.camera.fx, self._typical_depth())
+        return KeyframeMotion(self._keyframe_T_last.compose(step), tracks, self._map)
 
-    def _accept_static(self, frame: Frame, motion: _KeyframeMotion) -> VoEstimate:
+    def _accept_static(self, frame: Frame, motion: KeyframeMotion) -> VoEstimate:
         """Take over that the camera stands; where it came to stand is kept, so that it does not drift."""
         self._motion_model.stop()
         self._last_stamp, self._failures, self._coasted = frame.stamp, 0, 0
         return replace(self._estimate(frame, motion.keyframe_T_cur, Status.STATIC), tracks=motion.tracks)
 
-    def _from_two_views(self, frame: Frame, tracks: Tracks) -> _KeyframeMotion | None:
+    def _from_two_views(self, frame: Frame, tracks: Tracks) -> KeyframeMotion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
         assert self._keyframe is not None
         with self._stopwatch.stage("pose"):
@@ -295,7 +263,7 @@ class VisualOdometry:
         J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
         pose = metric_pose(relative_pose, scale.length)
         evidence = None if self._map_is_weak else relative_pose.evidence  # with the wrong motion, it would be wrong
-        return _KeyframeMotion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence)
+        return KeyframeMotion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence)
 
     def _expected(self, frame: Frame, tracks: Tracks) -> Iterator[gtsam.Pose3]:
         """Where the camera may be: as its motion leads there, and among the points of known depth."""
@@ -312,7 +280,7 @@ class VisualOdometry:
         with self._stopwatch.stage("pose"):
             return estimate_absolute_pose(points, seen.current, self.camera, self.settings, self._seed())
 
-    def _from_map(self, tracks: Tracks, known: MetricMap) -> _KeyframeMotion | None:
+    def _from_map(self, tracks: Tracks, known: MetricMap) -> KeyframeMotion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
         if (located := self._locate(tracks, known)) is None:
             return None
@@ -334,7 +302,7 @@ class VisualOdometry:
             known = MetricMap(known.depths.fused(found[found.values > 0]), known.variance)
         # The map's scale is uncertain, and the distance travelled in it likewise.
         pose = refined.pose.with_scale_variance(known.variance)
-        return _KeyframeMotion(pose, tracks, known, J_calibration=refined.J_calibration)
+        return KeyframeMotion(pose, tracks, known, J_calibration=refined.J_calibration)
 
     def _triangulated(
         self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
@@ -345,18 +313,12 @@ class VisualOdometry:
 
     def _rotation_only(
         self, tracks: Tracks, rotation: gtsam.Rot3, parallax: float, expected: GaussianPose
-    ) -> _KeyframeMotion:
+    ) -> KeyframeMotion:
         """Rotation alone, and no translation but what may hide in the parallax, and what the motion model expects."""
-        hidden = max(parallax, self.settings.static_parallax) / ROTATION_AMBIGUITY / self.camera.fx
-        covariance = np.diag(np.repeat([hidden, hidden * self._typical_depth()], 3) ** 2)
-        axes = rotation.matrix().T @ expected.mean.rotation().matrix()  # of what is expected, in the new camera
-        forecast, seen = axes @ expected.covariance[3:, 3:] @ axes.T, covariance[3:, 3:]
-        gain = seen @ np.linalg.inv(forecast + seen)  # of the forecast, beside none at all
-        translation = rotation.rotate(gain @ rotation.unrotate(expected.mean.translation()))
-        covariance[3:, 3:] = gain @ forecast
-        return _KeyframeMotion(GaussianPose(gtsam.Pose3(rotation, translation), covariance), tracks, self._map)
+        hidden = max(parallax, self.settings.static_parallax) / self.camera.fx
+        return KeyframeMotion(turning(rotation, hidden, self._typical_depth(), expected), tracks, self._map)
 
-    def _accept(self, frame: Frame, motion: _KeyframeMotion) -> VoEstimate:
+    def _accept(self, frame: Frame, motion: KeyframeMotion) -> VoEstimate:
         """Take over a measured motion."""
         assert self._keyframe is not None
         # The mean since the keyframe: a difference of two poses that are near each other would be mostly noise.
@@ -425,7 +387,7 @@ class VisualOdometry:
                 return estimate
         return None
 
-    def _return_to(self, keyframe: LostKeyframe, frame: Frame) -> _KeyframeMotion | None:
+    def _return_to(self, keyframe: LostKeyframe, frame: Frame) -> KeyframeMotion | None:
         """The motion from another keyframe, if enough of its points are found, and most of these agree."""
         assert frame.image is not None
         with self._stopwatch.stage("association"):
