@@ -135,3 +135,10 @@ class LogScale:
     def metres(self) -> float:
         """Length of the baseline."""
         return math.exp(self.mean)
+
+
+def square_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What each of P independent errors of deviation 1 adds, (P, P), so that they have a covariance (P, P)."""
+    squares, axes = np.linalg.eigh(covariance)
+    root: NDArray[np.float64] = axes * np.sqrt(np.maximum(squares, 0.0))
+    return root

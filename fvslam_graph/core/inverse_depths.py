@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.quick import median
 
 UNKNOWN = 10.0  # times the usual inverse depth: the deviation of one that is not known
-COMMON_ERRORS = 5  # errors that depths share: those of rotation and direction
+COMMON_ERRORS = 5  # that depths share, by what earlier motions erred: the most important ones
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class InverseDepths:
         ids: (N,) of the tracks.
         values: (N,) 1/metres (1/baseline where the baseline has no scale yet).
         sigmas: (N,) standard deviations, each on its own.
-        common: (N, 5) how they err together, by the rotation and direction of the motion that triangulated them: what
-            each of five independent errors of deviation 1 adds to them.
+        common: (N, S) how they err together, by the motions that triangulated them: what each of S independent errors
+            of deviation 1 adds to them. The last five are those of the newest motion.
     """
 
     ids: NDArray[np.int64]
@@ -50,7 +50,7 @@ class InverseDepths:
         cls, ids: NDArray[np.int64], values: NDArray[np.float64], sigmas: NDArray[np.float64]
     ) -> InverseDepths:
         """Depths whose errors have nothing in common."""
-        return cls(ids, values, sigmas, np.zeros((len(ids), COMMON_ERRORS)))
+        return cls(ids, values, sigmas, np.zeros((len(ids), 0)))
 
     def match(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Where tracks `ids` and these depths are of the same points: indices into these, and into `ids`."""
@@ -64,10 +64,10 @@ class InverseDepths:
         """The depths of tracks `ids`; those that are not known are as usual, within a large factor."""
         mine, theirs = self.match(ids)
         usual = median(self.values) if len(self) else 0.0
-        depths = InverseDepths.independent(ids, np.full(len(ids), usual), np.full(len(ids), UNKNOWN * usual))
-        depths.values[theirs], depths.sigmas[theirs] = self.values[mine], self.sigmas[mine]
-        depths.common[theirs] = self.common[mine]
-        return depths
+        values, sigmas = np.full(len(ids), usual), np.full(len(ids), UNKNOWN * usual)
+        common = np.zeros((len(ids), self.common.shape[1]))
+        values[theirs], sigmas[theirs], common[theirs] = self.values[mine], self.sigmas[mine], self.common[mine]
+        return InverseDepths(ids, values, sigmas, common)
 
     def scaled(self, factor: float) -> InverseDepths:
         """The same points with all distances multiplied by `factor`."""
@@ -76,41 +76,76 @@ class InverseDepths:
     def fused(self, other: InverseDepths) -> InverseDepths:
         """Both together; a point that both know gets the mean, weighted by information.
 
-        What the depths of one motion share is averaged out by those of others just as what each has on its own.
+        The errors that the depths of either share have nothing in common.
         """
         mine, theirs = self.match(other.ids)
+        ours = self.compressed()
         information = self.sigmas[mine] ** -2 + other.sigmas[theirs] ** -2
-        mean = (self.values[mine] * self.sigmas[mine] ** -2 + other.values[theirs] * other.sigmas[theirs] ** -2) / (
-            information
-        )
-        common = other.common[theirs] * (information**-0.5 / other.sigmas[theirs])[:, None]
+        weight = self.sigmas[mine] ** -2 / information
         only_mine = np.setdiff1d(np.arange(len(self)), mine)
         only_theirs = np.setdiff1d(np.arange(len(other)), theirs)
+        size = ours.common.shape[1]
+        common = np.zeros((len(mine) + len(only_mine) + len(only_theirs), size + other.common.shape[1]))
+        both, first = slice(0, len(mine)), slice(len(mine), len(self))
+        common[both, :size] = weight[:, None] * ours.common[mine]
+        common[both, size:] = (1 - weight)[:, None] * other.common[theirs]
+        common[first, :size] = ours.common[only_mine]
+        common[len(self) :, size:] = other.common[only_theirs]
         return InverseDepths(
             np.concatenate([self.ids[mine], self.ids[only_mine], other.ids[only_theirs]]),
-            np.concatenate([mean, self.values[only_mine], other.values[only_theirs]]),
-            np.concatenate([information**-0.5, self.sigmas[only_mine], other.sigmas[only_theirs]]),
-            np.vstack([common, self.common[only_mine], other.common[only_theirs]]),
+            np.concatenate(
+                [
+                    weight * self.values[mine] + (1 - weight) * other.values[theirs],
+                    self.values[only_mine],
+                    other.values[only_theirs],
+                ]
+            ),
+            np.concatenate([information**-0.5, ours.sigmas[only_mine], other.sigmas[only_theirs]]),
+            common,
         )
 
-    def seen_from(self, rays: NDArray[np.float64], keyframe_T_new: gtsam.Pose3) -> InverseDepths:
+    def compressed(self) -> InverseDepths:
+        """The same with the most important of the errors in common; the others become each depth's own."""
+        if self.common.shape[1] <= COMMON_ERRORS:
+            return self
+        relative = self.common / self.sigmas[:, None]
+        _, axes = np.linalg.eigh(relative.T @ relative)
+        turned = self.common @ axes[:, ::-1]
+        sigmas = np.hypot(self.sigmas, np.linalg.norm(turned[:, COMMON_ERRORS:], axis=1))
+        return InverseDepths(self.ids, self.values, sigmas, turned[:, :COMMON_ERRORS])
+
+    def seen_from(
+        self,
+        rays: NDArray[np.float64],
+        keyframe_T_new: gtsam.Pose3,
+        motion_errors: NDArray[np.float64] | None = None,
+    ) -> InverseDepths:
         """The same points' inverse depths in a new keyframe; points that are not in front of it are dropped.
 
         Args:
             rays: (N, 3) viewing rays in the old keyframe, z = 1.
             keyframe_T_new: Pose of the new keyframe in the old one, metres.
+            motion_errors: (5, 5) what each of the last five errors in common adds to its rotation and to the direction
+                of its translation, in the plane of gtsam.Unit3.basis; None where they add nothing.
         """
         # Depth in the new camera is (ray / value - t) . z, z being its optical axis in the old one.
-        axis = keyframe_T_new.rotation().matrix()[:, 2]
+        R, t = keyframe_T_new.rotation().matrix(), keyframe_T_new.translation()
+        axis = R[:, 2]
         along = rays @ axis
-        remaining = along - self.values * float(axis @ keyframe_T_new.translation())
-        values = self.values / remaining
-        kept = (remaining > 0.05 * along) & (values > 0)
+        remaining = along - self.values * float(axis @ t)
+        kept = (remaining > 0.05 * along) & (self.values > 0)
+        rays, along, remaining, known = rays[kept], along[kept], remaining[kept], self.values[kept]
         # d(value / (along - value a)) / d value = along / remaining^2
-        J_value = along[kept] / remaining[kept] ** 2
-        return InverseDepths(
-            self.ids[kept], values[kept], J_value * self.sigmas[kept], J_value[:, None] * self.common[kept]
-        )
+        J_value = along / remaining**2
+        common = J_value[:, None] * self.common[kept]
+        if motion_errors is not None:
+            J_motion = np.zeros((len(known), 5))  # of what remains
+            J_motion[:, 0] = known * float(t @ R[:, 1]) - rays @ R[:, 1]  # the axis turns by R (w x z)
+            J_motion[:, 1] = rays @ R[:, 0] - known * float(t @ R[:, 0])
+            across = float(np.linalg.norm(t)) * (axis @ gtsam.Unit3(t).basis())
+            J_motion[:, 3:] = -known[:, None] * across
+            common[:, -5:] -= (known / remaining**2)[:, None] * (J_motion @ motion_errors)
+        return InverseDepths(self.ids[kept], known / remaining, J_value * self.sigmas[kept], common)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -14,6 +15,8 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.ransac import absolute_pose
+from fvslam_graph.vo.depth import scale_ratio
+from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 from fvslam_graph.vo.relative_pose import (
     CONVERGED_STEP,
@@ -21,12 +24,14 @@ from fvslam_graph.vo.relative_pose import (
     RELAXED,
     START_NOISE,
     WIDTHS,
+    RelativePose,
     a_sample,
     ransac_options,
 )
-from fvslam_graph.vo.reprojection import reprojection_errors
+from fvslam_graph.vo.reprojection import ReprojectionErrors, reprojection_errors
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies
+MIN_SHARE = 0.7  # of the tracks of two views that agree with known depths as well, at least
 
 Array = NDArray[np.float64]
 
@@ -71,14 +76,18 @@ class AbsolutePose:
     J_calibration: Array
 
     @property
-    def direction_covariance(self) -> Array:
-        """(5, 5) of rotation and direction of travel, as in RelativePose."""
+    def J_direction(self) -> Array:
+        """(5, 6) how rotation and direction of travel, as in RelativePose, change with the pose."""
         metres, rotation = self.pose.mean.translation(), self.pose.mean.rotation().matrix()
-        length = float(np.linalg.norm(metres))
         jacobian = np.zeros((5, 6))
         jacobian[:3, :3] = np.eye(3)
-        jacobian[3:, 3:] = gtsam.Unit3(metres).basis().T @ rotation / length
-        covariance: Array = jacobian @ self.pose.covariance @ jacobian.T
+        jacobian[3:, 3:] = gtsam.Unit3(metres).basis().T @ rotation / float(np.linalg.norm(metres))
+        return jacobian
+
+    @property
+    def direction_covariance(self) -> Array:
+        """(5, 5) of rotation and direction of travel, as in RelativePose."""
+        covariance: Array = self.J_direction @ self.pose.covariance @ self.J_direction.T
         return covariance
 
 
@@ -87,8 +96,9 @@ def refine_absolute_pose(
 ) -> AbsolutePose | None:
     """The pose near another by all tracks, each counting for what its depth tells, however little that is.
 
-    Iteratively reweighted least squares (Cauchy); the covariance is that of the M-estimator, from residuals that may
-    be alike within a neighbourhood, and from what depths err together.
+    Iteratively reweighted least squares (Cauchy) for the pose, and for what the depths err together, of which their
+    common errors are a prior; the covariance is that of the M-estimator, from residuals that may be alike within a
+    neighbourhood.
 
     Args:
         keyframe_T_cur: To begin with, metres.
@@ -97,33 +107,69 @@ def refine_absolute_pose(
     Returns:
         None where they do not determine it.
     """
-    noise = START_NOISE
+    noise, shared = START_NOISE, np.zeros(depths.common.shape[1])
+    prior = np.diag(np.repeat([0.0, 1.0], (6, len(shared))))
+
+    def errors_by(noise: float) -> tuple[ReprojectionErrors, Array]:
+        """Errors with the depths as they are by now, and their Jacobian (N, 2, 6 + S) by pose and common errors."""
+        known = replace(depths, values=depths.values + depths.common @ shared)
+        errors = reprojection_errors(keyframe_T_cur, rays, tracks, known, camera, noise)
+        return errors, np.concatenate([errors.J_pose, errors.J_common], axis=2)
+
     for width in WIDTHS:
-        errors = reprojection_errors(keyframe_T_cur, rays, tracks, depths, camera, width * noise)
+        errors, jacobian = errors_by(width * noise)
         weight = errors.agree / (1 + errors.squares / KERNEL**2)
-        jacobian = errors.J_pose.reshape(-1, 6)
+        jacobian = jacobian.reshape(-1, len(prior))
         weighted = np.repeat(weight, 2)[:, None] * jacobian
-        information = weighted.T @ jacobian
+        information = weighted.T @ jacobian + prior
         if not np.linalg.cond(information) < 1e14:
             return None
-        step = -np.linalg.solve(information, weighted.T @ errors.values.ravel())
-        keyframe_T_cur = keyframe_T_cur.retract(RELAXED * step if width == 1 else step)
+        pull = weighted.T @ errors.values.ravel()
+        pull[6:] += shared
+        step = -np.linalg.solve(information, pull)
+        deviations = math.sqrt(step @ information @ step)
+        step *= RELAXED if width == 1 else 1.0
+        keyframe_T_cur, shared = keyframe_T_cur.retract(step[:6]), shared + step[6:]
         noise = float(np.clip(width * noise * errors.deviation, *NOISE))
-        if width == 1 and step @ information @ step < CONVERGED_STEP**2:
+        if width == 1 and deviations < CONVERGED_STEP:
             break
-    errors = reprojection_errors(keyframe_T_cur, rays, tracks, depths, camera, noise)
+    errors, jacobian = errors_by(noise)
     agree = errors.agree
-    covariance = m_estimator_covariance(
-        errors.values[agree],
-        errors.J_pose[agree],
-        KERNEL,
-        neighbourhoods(tracks.keyframe[agree], camera),
-        errors.J_common[agree],
-    )
+    values, jacobian = errors.values[agree], jacobian[agree]
+    covariance = m_estimator_covariance(values, jacobian, KERNEL, neighbourhoods(tracks.keyframe[agree], camera), prior)
     if covariance is None:
         return None
-    jacobian = errors.J_pose[agree].reshape(-1, 6)
-    weighted = jacobian / np.repeat(1 + errors.squares[agree] / KERNEL**2, 2)[:, None]
-    pull = weighted.T @ errors.J_calibration()[agree].reshape(-1, 2)
-    J_calibration: Array = -np.linalg.inv(weighted.T @ jacobian) @ pull
-    return AbsolutePose(GaussianPose(keyframe_T_cur, covariance), agree, noise, J_calibration)
+    weighted = jacobian / (1 + errors.squares[agree] / KERNEL**2)[:, None, None]
+    information = np.einsum("nri,nrj->ij", weighted, jacobian) + prior
+    pull = np.einsum("nri,nrj->ij", weighted, errors.J_calibration()[agree])
+    J_calibration: Array = -np.linalg.solve(information, pull)[:6]
+    return AbsolutePose(GaussianPose(keyframe_T_cur, covariance[:6, :6]), agree, noise, J_calibration)
+
+
+def with_known_depths(
+    relative_pose: RelativePose, tracks: Tracks, unit: InverseDepths, known: InverseDepths, camera: Camera
+) -> RelativePose | None:
+    """What two views and the depths that are known in the first one tell together; None where they do not agree.
+
+    Args:
+        relative_pose: By the two views alone.
+        tracks: N that agree with it,
+        unit: (N,) and their depths by it, in baselines.
+        known: Depths in the first view.
+        camera: Undistorted.
+    """
+    ratio = scale_ratio(unit, known)
+    if ratio is None:
+        return None
+    start = gtsam.Pose3(relative_pose.rotation, ratio.metres * relative_pose.direction)
+    refined = refine_absolute_pose(start, rays(camera, tracks.keyframe), tracks, known.of(tracks.ids), camera)
+    if refined is None or refined.agree.mean() < MIN_SHARE:
+        return None
+    metres = refined.pose.mean.translation()
+    return replace(
+        relative_pose,
+        rotation=refined.pose.mean.rotation(),
+        direction=metres / np.linalg.norm(metres),
+        covariance=refined.direction_covariance,
+        J_calibration=refined.J_direction @ refined.J_calibration,
+    )

@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.core.gaussian_pose import LogScale, square_root
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.quick import median
 from fvslam_graph.core.tracks import variances_along
@@ -13,6 +14,8 @@ from fvslam_graph.vo.epipolar import MatchedRays
 
 PIXEL_NOISE = 0.3  # pixels, of a displacement along each axis, where no motion has told it
 GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
+MIN_COMMON = 10  # tracks of known depth that tell a scale
+RATIO_ITERATIONS, CONVERGED = 10, 0.01  # at most, and deviations of a step after which nothing changes
 UNKNOWN_DEPTH = 10.0  # and at how far away things are for one whose height is unknown, metres
 
 
@@ -35,7 +38,8 @@ def triangulate(
         rotation: prev_R_cur.
         baseline: (3,) from the previous camera to the current one, in the previous; its length is the unit of depth.
         noise: Pixels, standard deviation of a track's displacement along each axis.
-        covariance: (5, 5) of rotation and direction, as in RelativePose; without it, they are exact.
+        covariance: (5, 5) of rotation and direction, as in RelativePose; without it, they are exact. Depths err
+            together by its `square_root`.
     """
     previous, focal, covariances = matched.previous, matched.focal, matched.covariances
     rotated = matched.current @ rotation.matrix().T
@@ -57,8 +61,27 @@ def triangulate(
     basis = np.linalg.norm(baseline) * gtsam.Unit3(baseline).basis()
     J_direction = (values * (rotated @ baseline))[:, None] * (rotated @ basis)
     J_motion = np.hstack([J_rotation, J_direction]) / square[:, None]
-    squares, axes = np.linalg.eigh(covariance)
-    return InverseDepths(ids, values, sigmas, J_motion @ (axes * np.sqrt(np.maximum(squares, 0.0))))
+    return InverseDepths(ids, values, sigmas, J_motion @ square_root(covariance))
+
+
+def scale_ratio(unit: InverseDepths, known: InverseDepths) -> LogScale | None:
+    """Scale at which newly triangulated depths agree with known ones; None with too few points in common."""
+    mine, theirs = unit.match(known.ids)
+    unit, known = unit[mine], known[theirs]
+    usable = (unit.values > unit.sigmas) & (known.values > known.sigmas)
+    if usable.sum() < MIN_COMMON:
+        return None
+    unit, known = unit[usable], known[usable]
+    log_ratio = np.log(unit.values / known.values)
+    sigma = np.hypot(unit.sigmas / unit.values, known.sigmas / known.values)
+    mean = median(log_ratio)
+    for _ in range(RATIO_ITERATIONS):
+        weight = 1 / (sigma**2 * (1 + ((log_ratio - mean) / sigma / 2) ** 2))
+        information, before = float(weight.sum()), mean
+        mean = float((weight * log_ratio).sum()) / information
+        if (mean - before) ** 2 * information < CONVERGED**2:
+            break
+    return LogScale(mean, float((weight**2 * (log_ratio - mean) ** 2).sum() / weight.sum() ** 2))
 
 
 def typical_depth(

@@ -30,6 +30,8 @@ class KeyframeMotion:
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         J_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
         evidence: What two views say of these.
+        errors: (5, 5) what the last five of the errors that the map's depths share add to rotation and direction; None
+            where they add nothing.
     """
 
     keyframe_T_cur: GaussianPose
@@ -39,6 +41,7 @@ class KeyframeMotion:
     parallax: float = math.nan
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
     evidence: CalibrationEvidence | None = None
+    errors: NDArray[np.float64] | None = None
 
 
 def relative_variance(motion: KeyframeMotion) -> float:

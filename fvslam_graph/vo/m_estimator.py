@@ -33,7 +33,7 @@ def m_estimator_covariance(
     jacobian: NDArray[np.float64],
     loss_scale: float,
     clusters: NDArray[np.intp],
-    common: NDArray[np.float64] | None = None,
+    prior: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
     """Covariance of an M-estimate with a Cauchy loss, by the residuals themselves: no noise level is assumed.
 
@@ -42,20 +42,22 @@ def m_estimator_covariance(
         jacobian: (N, R, P) of the residuals.
         loss_scale: Of the loss of a measurement, in the residuals' unit.
         clusters: (N,) numbers of groups of measurements, which are independent of other groups and need not be within.
-        common: (N, R, S) what each of S errors of deviation 1, common to all, adds to the residuals.
+        prior: (P, P) information that there is besides the residuals.
 
     Returns:
         (P, P); None where the residuals do not determine the parameters.
 
     Source: Huber, Robust Statistics, section 6.3; Liang and Zeger 1986 (clusters).
     """
-    parameters = jacobian.shape[2]
     weight = 1 / (1 + (residual**2).sum(axis=1) / loss_scale**2)
     weighted = weight[:, None, None] * jacobian
     information = np.einsum("nri,nrj->ij", weighted, jacobian)
     gradients = (weighted * residual[:, :, None]).sum(axis=1)
     scores = clustered(gradients, clusters)
-    count = len(scores)
+    count, parameters = len(scores), float(jacobian.shape[2])
+    if prior is not None:
+        parameters = float(np.trace(np.linalg.solve(information + prior, information)))  # as far as residuals tell them
+        information = information + prior
     values = np.linalg.eigvalsh(information)
     if count <= parameters or not values[0] > 1e-12 * values[-1]:
         return None
@@ -69,8 +71,7 @@ def m_estimator_covariance(
     # small by far (Hotelling 1931).
     small_sample = count / (count - parameters) * (count - 1) / max(count - parameters - 2, 1)
     meat = small_sample * scores.T @ scores
-    if common is not None:
-        pull = np.einsum("nri,nrs->is", weighted, common)
-        meat += pull @ pull.T
+    if prior is not None:
+        meat += prior
     covariance: NDArray[np.float64] = inverse @ meat @ inverse
     return (covariance + covariance.T) / 2

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.choices import ScaleSource
 from fvslam_graph.core.config import Config, FeatureSettings
-from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale, ScaledPose
+from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale, ScaledPose, square_root
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.modes import outside_tracker
 from fvslam_graph.core.quick import median
@@ -27,7 +27,7 @@ from fvslam_graph.features.detection import BORDER, detect
 from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose
+from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose, with_known_depths
 from fvslam_graph.vo.deformation import undeformed
 from fvslam_graph.vo.depth import triangulate, typical_depth
 from fvslam_graph.vo.epipolar import MatchedRays, rays
@@ -252,9 +252,13 @@ class VisualOdometry:
         inliers[used], current[used] = relative_pose.inliers, relative_pose.current
         relative_pose = replace(relative_pose, inliers=inliers, current=current)
         with self._stopwatch.stage("scale"):
-            unit_pose = gtsam.Pose3(relative_pose.rotation, relative_pose.direction)
             tracks = replace(tracks, current=current)[inliers]
-            unit = self._triangulated(tracks, unit_pose, relative_pose.noise, relative_pose.covariance)
+            unit = self._triangulated(tracks, relative_pose.unit_pose, relative_pose.noise, relative_pose.covariance)
+            if trusted is not None and not relative_pose.is_certain:
+                better = with_known_depths(relative_pose, tracks, unit, trusted, self.camera)
+                if better is not None:
+                    relative_pose = better
+                    unit = self._triangulated(tracks, better.unit_pose, better.noise, better.covariance)
             fallback = self._motion_model.distance(frame.stamp - self._keyframe.stamp)
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = self._guess(unit)
@@ -263,7 +267,8 @@ class VisualOdometry:
         J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
         pose = metric_pose(relative_pose, scale.length)
         evidence = None if self._map_is_weak else relative_pose.evidence  # with the wrong motion, it would be wrong
-        return KeyframeMotion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence)
+        errors = square_root(relative_pose.covariance)
+        return KeyframeMotion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence, errors=errors)
 
     def _expected(self, frame: Frame, tracks: Tracks) -> Iterator[gtsam.Pose3]:
         """Where the camera may be: as its motion leads there, and among the points of known depth."""
@@ -332,7 +337,7 @@ class VisualOdometry:
         estimate = self._estimate(frame, motion.keyframe_T_cur, Status.TRACKED)
         mine, theirs = motion.map.depths.match(motion.tracks.ids)
         seen = rays(self.camera, motion.tracks.keyframe[theirs])
-        depths = motion.map.depths[mine].seen_from(seen, motion.keyframe_T_cur.mean)
+        depths = motion.map.depths[mine].seen_from(seen, motion.keyframe_T_cur.mean, motion.errors)
         here = MetricMap(depths, motion.map.variance)
         return replace(
             estimate,

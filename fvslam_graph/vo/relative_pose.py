@@ -38,7 +38,8 @@ CLEARLY = 4.0  # deviations beyond which a match does not count
 MAX_STEP = 0.1  # rad, step of the refinement
 ROUGH = 5  # iterations of PoseLib's refinement, which is done again with all tracks
 MOST = 0.8  # of the tracks; where these agree with the motion that is expected,
-CERTAIN_DIRECTION = 0.002  # rad, and fix the direction of travel as well as this, RANSAC finds nothing else
+# rad; and fix the direction of travel as well as this, RANSAC finds nothing else, and known depths need not help.
+CERTAIN_DIRECTION = 0.002
 # Of RANSAC's threshold, where no depths are known that would choose: within a wide one, a motion that is nearly right
 # for all tracks has more inliers than one that is right for most.
 NARROW = 0.25
@@ -72,6 +73,16 @@ class RelativePose:
     noise: float
     J_calibration: NDArray[np.float64]
     evidence: CalibrationEvidence | None = None
+
+    @property
+    def unit_pose(self) -> gtsam.Pose3:
+        """prev_T_cur in baselines."""
+        return gtsam.Pose3(self.rotation, self.direction)
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the direction of travel is known so well that no depths need to help."""
+        return bool(np.trace(self.covariance[3:, 3:]) < CERTAIN_DIRECTION**2)
 
 
 @dataclass(frozen=True)

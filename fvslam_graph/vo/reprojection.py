@@ -73,7 +73,7 @@ def reprojection_errors(
         keyframe_T_cur: Metres.
         rays: (N, 3) of the tracks in the keyframe, z = 1.
         tracks: N.
-        depths: (N,) theirs, in the keyframe; unknown ones have an infinite sigma.
+        depths: (N,) theirs, in the keyframe; unknown ones have a large sigma. What they err together is no noise.
         camera: Undistorted.
         noise: Pixels, of a corner's displacement along each axis.
     """
@@ -88,7 +88,7 @@ def reprojection_errors(
         xy = seen[:, :2] / z[:, None]
         return xy, z, values / z, focal * xy + centre - tracks.current, focal * (xy * step[2] - step[:2]) / z[:, None]
 
-    variance = depths.total_sigmas**2
+    variance = depths.sigmas**2
     _, _, _, error, line = project(depths.values)
     square = np.maximum((line**2).sum(axis=1), 1e-12)
     share = 1 / (1 + noise**2 / np.maximum(variance * square, 1e-300))  # of the way to where the image has the point

@@ -11,17 +11,15 @@ from fvslam_graph.core.choices import ScaleSource
 from fvslam_graph.core.config import ScaleSettings
 from fvslam_graph.core.errors import ConfigError
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, LogScale
-from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
-from fvslam_graph.core.quick import median
+from fvslam_graph.core.inverse_depths import MetricMap
 from fvslam_graph.core.sensors import GRAVITY_SIGMA
 from fvslam_graph.core.vo_estimate import ScaleStep
+from fvslam_graph.vo.depth import scale_ratio
 from fvslam_graph.vo.ground_plane import GroundAligner
 from fvslam_graph.vo.relative_pose import TwoViews
 from fvslam_graph.vo.scale_filter import ScaleFilter
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
-MIN_COMMON = 10  # tracks of known depth that tell a scale
-RATIO_ITERATIONS, CONVERGED = 10, 0.01  # at most, and deviations of a step after which nothing changes
 
 
 class MetricScale:
@@ -66,11 +64,13 @@ class MetricScale:
         Returns:
             The scale and how it came about; and the map in the previous frame, rescaled and with the new depths.
         """
-        ratio = self._ratio(views.depths, known.depths)
-        predicted = fallback if ratio is None else LogScale(ratio.mean, ratio.variance + known.variance)
+        ratio = scale_ratio(views.depths, known.depths)
         if ratio is None:
+            predicted = transition = fallback
             self._filter.forget()
-        transition = ratio or fallback
+        else:
+            transition = LogScale(ratio.mean, ratio.variance + self.settings.map_sigma**2)
+            predicted = LogScale(ratio.mean, transition.variance + known.variance)
         if self.settings.source is ScaleSource.UNIT:
             scale = LogScale(0.0, 1.0)
             step = ScaleStep(scale, predicted=scale)
@@ -87,26 +87,6 @@ class MetricScale:
         old = known.depths if ratio is None else known.depths.scaled(scale.metres / predicted.metres)
         new = views.depths.scaled(scale.metres)
         return step, MetricMap(old.fused(new[new.values > 0]), scale.variance)
-
-    def _ratio(self, unit: InverseDepths, known: InverseDepths) -> LogScale | None:
-        """Scale at which newly triangulated depths agree with known ones; None with too few points in common."""
-        mine, theirs = unit.match(known.ids)
-        unit, known = unit[mine], known[theirs]
-        usable = (unit.values > unit.sigmas) & (known.values > known.sigmas)
-        if usable.sum() < MIN_COMMON:
-            return None
-        unit, known = unit[usable], known[usable]
-        log_ratio = np.log(unit.values / known.values)
-        sigma = np.hypot(unit.sigmas / unit.values, known.sigmas / known.values)
-        mean = median(log_ratio)
-        for _ in range(RATIO_ITERATIONS):
-            weight = 1 / (sigma**2 * (1 + ((log_ratio - mean) / sigma / 2) ** 2))
-            information, before = float(weight.sum()), mean
-            mean = float((weight * log_ratio).sum()) / information
-            if (mean - before) ** 2 * information < CONVERGED**2:
-                break
-        spread = float((weight**2 * (log_ratio - mean) ** 2).sum() / weight.sum() ** 2)
-        return LogScale(mean, spread + self.settings.map_sigma**2)
 
     def _from_plane(self, views: TwoViews, predicted: LogScale, rng: np.random.Generator) -> LogScale | None:
         """The scale by one view of the ground, with a variance without the bias that neighbouring views share."""

@@ -10,14 +10,17 @@ from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.inverse_depths import COMMON_ERRORS, InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
-from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose
-from fvslam_graph.vo.epipolar import rays
+from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose, with_known_depths
+from fvslam_graph.vo.depth import triangulate
+from fvslam_graph.vo.epipolar import MatchedRays, rays
+from fvslam_graph.vo.relative_pose import estimate_relative_pose
 from fvslam_graph.vo.reprojection import reprojection_errors
 
 from .conftest import recalibrated
 
 SETTINGS = VoSettings()
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.01, 0.03, -0.02])), np.array([0.05, 0.02, 0.1]))
+SHORT = gtsam.Pose3(MOTION.rotation(), 0.3 * MOTION.translation())  # of little parallax
 NEAR = MOTION.retract(np.array([0.002, -0.001, 0.003, 0.004, 0.002, -0.005]))
 
 
@@ -37,6 +40,11 @@ def hardly_known(depths: InverseDepths) -> InverseDepths:
 
 def refined(camera, scene, depths):
     return refine_absolute_pose(NEAR, rays(camera, scene.tracks.keyframe), scene.tracks, depths, camera)
+
+
+def unit_depths(camera, scene, found) -> InverseDepths:
+    matched = MatchedRays.of(camera, scene.tracks)
+    return triangulate(scene.tracks.ids, matched, found.rotation, found.direction, found.noise)
 
 
 def nees_of(found) -> float:
@@ -125,12 +133,50 @@ def test_covariance_holds_the_errors_that_points_share(camera, two_views):
         common = np.zeros((len(ray), COMMON_ERRORS))
         common[:, :3] = 0.02 * ray / scene.points[:, 2:]
         told = depths_of(scene, 0.001, seed, common)
-        consistent.append(nees_of(refined(camera, scene, told)))
         untold = InverseDepths.independent(told.ids, told.values, told.sigmas)
+        consistent.append(nees_of(refined(camera, scene, told)))
         unaware.append(nees_of(refined(camera, scene, untold)))
     low, high = nees_band(6, len(consistent))
     assert 0.8 * low < np.mean(consistent) < 1.1 * high
     assert np.mean(unaware) > 2 * high
+
+
+def by_two_views(camera, scene):
+    return estimate_relative_pose(scene.tracks, camera, SETTINGS, seed=0, expected=[MOTION, SHORT])
+
+
+def direction_nees(found) -> tuple[float, float]:
+    """NEES of rotation and direction, and by what angle the direction errs."""
+    truth = gtsam.EssentialMatrix(SHORT.rotation(), gtsam.Unit3(SHORT.translation()))
+    error = truth.localCoordinates(gtsam.EssentialMatrix(found.rotation, gtsam.Unit3(found.direction)))
+    return float(error @ np.linalg.solve(found.covariance, error)), float(np.linalg.norm(error[3:]))
+
+
+def test_known_depths_help_two_views(camera, two_views):
+    """Depths that are known within 3 %, where there is little parallax: two views alone may be far off."""
+    values, errors, turns = [], [], []
+    for seed in range(60):
+        scene = two_views(SHORT, noise=0.1, seed=seed)
+        alone = by_two_views(camera, scene)
+        both = with_known_depths(
+            alone, scene.tracks, unit_depths(camera, scene, alone), depths_of(scene, 0.03, seed), camera
+        )
+        values.append(direction_nees(both)[0])
+        errors.append([direction_nees(found)[1] for found in (both, alone)])
+        turns.append([np.trace(found.covariance[:3, :3]) for found in (both, alone)])
+    low, high = nees_band(5, len(values))
+    assert 0.8 * low < np.mean(values) < 1.1 * high
+    assert np.mean(errors, axis=0)[0] < 0.9 * np.mean(errors, axis=0)[1]
+    assert np.median(turns, axis=0)[0] < 0.8 * np.median(turns, axis=0)[1]
+
+
+def test_depths_of_something_else_do_not_help_two_views(camera, two_views):
+    scene = two_views(MOTION, noise=0.1)
+    alone = by_two_views(camera, scene)
+    unit, depths = unit_depths(camera, scene, alone), depths_of(scene, 0.005)
+    others = replace(depths, values=np.random.default_rng(0).permutation(depths.values))
+    assert with_known_depths(alone, scene.tracks, unit, others, camera) is None
+    assert with_known_depths(alone, scene.tracks, unit, depths[np.arange(5)], camera) is None
 
 
 def test_points_of_unknown_depth_help(camera, two_views):

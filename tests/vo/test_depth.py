@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.core.inverse_depths import InverseDepths
+from fvslam_graph.core.inverse_depths import COMMON_ERRORS, InverseDepths
 from fvslam_graph.vo.depth import PIXEL_NOISE, triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, rays
 
@@ -99,7 +99,19 @@ def test_what_is_shared_averages_out_with_the_rest():
     once = InverseDepths(ids, values, sigmas, np.ones((3, 5)))
     again = once.fused(once)
     assert again.sigmas == pytest.approx(sigmas / 2**0.5)
-    assert again.common == pytest.approx(np.full((3, 5), 0.5**0.5))
+    assert again.common @ again.common.T == pytest.approx(once.common @ once.common.T / 2)
+
+
+def test_of_errors_in_common_the_most_important_are_kept():
+    rng = np.random.default_rng(0)
+    common = rng.standard_normal((40, 10)) * np.geomspace(1e-2, 1e-4, 10)
+    depths = InverseDepths(np.arange(40), np.full(40, 0.1), np.full(40, 1e-3), common)
+    fewer = depths.compressed()
+    assert fewer.common.shape == (40, COMMON_ERRORS)
+    assert fewer.total_sigmas == pytest.approx(depths.total_sigmas)
+    lost = common @ common.T - fewer.common @ fewer.common.T
+    assert np.abs(lost).max() < 0.01 * np.abs(common @ common.T).max()
+    assert fewer.compressed() is fewer
 
 
 def test_fused_with_nothing():
@@ -139,6 +151,23 @@ def test_moved_sigmas_by_finite_differences(camera, two_views):
     derivative = (moved(step).values - moved(-step).values) / (2 * step)
     assert moved(0).sigmas == pytest.approx(sigmas * np.abs(derivative), rel=1e-5)
     assert moved(0).common == pytest.approx(np.outer(sigmas * derivative, np.arange(5)), rel=1e-5)
+
+
+def test_moved_by_a_motion_that_errs_by_finite_differences(camera, two_views):
+    scene, step = two_views(MOTION), 1e-7
+    ray, values = rays(camera, scene.tracks.keyframe), 1 / scene.points[:, 2]
+    length = np.linalg.norm(MOTION.translation())
+    essential = gtsam.EssentialMatrix(MOTION.rotation(), gtsam.Unit3(MOTION.translation()))
+    depths = InverseDepths(scene.tracks.ids, values, 0.01 * values, np.zeros((len(values), 5)))
+
+    def moved(change: np.ndarray) -> np.ndarray:
+        motion = essential.retract(change)
+        there = gtsam.Pose3(motion.rotation(), length * motion.direction().point3())
+        return depths.seen_from(ray, there).values
+
+    numeric = np.column_stack([(moved(step * e) - moved(-step * e)) / (2 * step) for e in np.eye(5)])
+    found = depths.seen_from(ray, MOTION, np.eye(5)).common
+    assert found == pytest.approx(numeric, rel=1e-4, abs=1e-6 * np.abs(numeric).max())
 
 
 def test_points_that_are_passed_are_dropped():

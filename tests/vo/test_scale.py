@@ -11,11 +11,11 @@ from fvslam_graph.core.config import ScaleSettings
 from fvslam_graph.core.gaussian_pose import LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.sequence import Frame
-from fvslam_graph.vo.depth import triangulate
+from fvslam_graph.vo.depth import MIN_COMMON, triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, rays
 from fvslam_graph.vo.ground_plane import GroundPlane
 from fvslam_graph.vo.relative_pose import RelativePose, TwoViews
-from fvslam_graph.vo.scale import MIN_COMMON, ORACLE_VARIANCE, MetricScale
+from fvslam_graph.vo.scale import ORACLE_VARIANCE, MetricScale
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.9, -0.3, 1.2]))
 BASELINE = float(np.linalg.norm(MOTION.translation()))
