@@ -39,8 +39,9 @@ class CalibrationEvidence:
     """What images say of the calibration that they were rectified with, whatever the motion was.
 
     Attributes:
-        information: (2, 2) of the logarithm of the focal length and of k1,
-        gradient: and (2,) of the log likelihood, where nothing is added to either.
+        information: (P, P) of the logarithm of the focal length, of k1 and, as far as images were asked for these, of
+            k2, principal point, p1 and p2,
+        gradient: and (P,) of the log likelihood, where nothing is added to any.
     """
 
     information: NDArray[np.float64]

@@ -73,29 +73,50 @@ def epipolar_distance(
 def calibration_jacobian(
     matched: MatchedRays, rotation: gtsam.Rot3, direction: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """How the distances of `epipolar_distance` change with the calibration, (N, 2), pixels.
+    """How the distances of `epipolar_distance` change with the calibration, (N, 7), pixels.
 
-    With the logarithm of the focal length, and with k1: the ray (x, y, 1) of a pixel is (x, y) / (1 + k1 (x^2 + y^2))
-    in truth, which is OpenCV's k1 as long as it is small. Distances stay those in the images as they are.
+    With the logarithm of the focal length, and with OpenCV's k1, k2, principal point (in focal lengths), p1 and p2, as
+    long as these are small: the ray (x, y, 1) of a pixel is (x, y) less its `_bends` in truth. Distances stay those in
+    the images as they are.
 
     Args:
         matched, rotation, direction: As there.
     """
-    previous, current = matched.previous, matched.current
     essential: NDArray[np.float64] = gtsam.SO3.Hat(direction) @ rotation.matrix()
-    line = previous @ essential
-    normal, foot, weight, distance = _perpendicular(line, matched)
-    squares = [(seen[:, :2] ** 2).sum(axis=1) for seen in (previous, current)]
-    across = (normal * current[:, :2]).sum(axis=1)
-    columns = []
-    for bends, stretch in (((1.0, 1.0), 1.0), (squares, squares[1] + 2 * across**2)):
-        J_previous, J_current = (
-            -seen[:, :2] * np.reshape(bend, (-1, 1)) for seen, bend in zip((previous, current), bends, strict=True)
-        )
-        J_line = J_previous @ essential[:2]
-        moved = (J_line[:, :2] * foot).sum(axis=1) + J_line[:, 2] + (line[:, :2] * J_current).sum(axis=1)
-        columns.append(weight * moved + distance * stretch)
-    return np.column_stack(columns)
+    normal, foot, weight, distance = _perpendicular(matched.previous @ essential, matched)
+    line = matched.previous @ essential[:, :2]
+    J_line = _bends(matched.previous) @ essential[:2]  # (7, N, 3)
+    bends = _bends(matched.current)
+    moved = (J_line[:, :, :2] * foot).sum(axis=2) + J_line[:, :, 2] + (line * bends).sum(axis=2)
+    # How much longer distances become in the image: along the normal, bends grow so much.
+    (x, y), (a, b) = matched.current[:, :2].T, normal.T
+    square, across = x * x + y * y, (a * x + b * y) ** 2
+    stretch = np.zeros_like(moved)
+    stretch[0] = 1.0
+    stretch[1], stretch[2] = square + 2 * across, square**2 + 4 * square * across
+    stretch[5] = 2 * y * a * a + 4 * x * a * b + 6 * y * b * b
+    stretch[6] = 6 * x * a * a + 4 * y * a * b + 2 * x * b * b
+    changes: NDArray[np.float64] = (distance * stretch - weight * moved).T
+    return changes
+
+
+def _bends(rays: Rays) -> NDArray[np.float64]:
+    """How the rays of pixels are off by one unit of each number of the calibration, (7, N, 2)."""
+    x, y = rays[:, :2].T
+    square = x * x + y * y
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    bends: NDArray[np.float64] = np.array(
+        [
+            [x, y],
+            [square * x, square * y],
+            [square**2 * x, square**2 * y],
+            [one, zero],
+            [zero, one],
+            [2 * x * y, square + 2 * y * y],
+            [square + 2 * x * x, 2 * x * y],
+        ]
+    ).swapaxes(1, 2)
+    return bends
 
 
 def _perpendicular(

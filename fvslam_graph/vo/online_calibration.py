@@ -15,7 +15,10 @@ from fvslam_graph.core.vo_estimate import CalibrationEvidence
 
 Array = NDArray[np.float64]
 
-PRIOR_SIGMAS = np.array([0.01, 0.05])  # of the logarithm of the focal length and of k1, as files err
+# Of the logarithm of the focal length and of k1, as files err; and of k2, principal point, p1 and p2, which are not
+# estimated, but pass for these: in a turn, a principal point that is off looks like a wrong focal length.
+PRIOR_SIGMAS = np.array([0.01, 0.05])
+OTHER_SIGMAS = np.array([0.05, 0.01, 0.01, 0.005, 0.005])
 MIN_PAIRS = 5
 CERTAIN = 5.0  # standard deviations from what the file says
 GROSS = 3.0  # log likelihood that a pair of images gains in the mean
@@ -29,7 +32,7 @@ class CalibrationCorrection:
 
     Attributes:
         mean: (2,) to the logarithm of the focal length and to k1.
-        sigmas: (2,) standard deviations, by how much pairs of images differ.
+        sigmas: (2,) standard deviations, by how much pairs of images differ, whatever else of the calibration is wrong.
         news: What pairs say of it that had no part in the correction before.
     """
 
@@ -76,7 +79,7 @@ class OnlineCalibration:
         """Take in a pair of images, if there is one; the correction that follows, or None where all stays as it is."""
         if evidence is None or not self._enabled:
             return None
-        self._pairs.add(evidence.information, evidence.gradient + evidence.information @ self.applied)
+        self._pairs.add(evidence.information, evidence.gradient + evidence.information[:, :2] @ self.applied)
         if self._pairs.count < self._next:
             return None
         correction = self._pairs.correction(self._known)
@@ -108,12 +111,15 @@ class _Pairs:
     def __init__(self) -> None:
         self.count = 0
         self.information, self.score = np.zeros((2, 2)), np.zeros(2)
+        self._all = np.zeros((7, 7))  # information of the other numbers as well
         # Second moments of both.
         self._scores, self._mixed, self._informations = np.zeros((2, 2)), np.zeros((2, 2, 2)), np.zeros((2, 2, 2, 2))
 
     def add(self, information: Array, score: Array) -> None:
-        """Take in a pair."""
+        """Take in a pair: (7, 7) and (7,)."""
         self.count += 1
+        self._all += information
+        information, score = information[:2, :2], score[:2]
         self.information += information
         self.score += score
         self._scores += np.outer(score, score)
@@ -130,4 +136,5 @@ class _Pairs:
         news = CalibrationEvidence(
             (self.information - known.information) / dispersion, (self.score - known.gradient) / dispersion
         )
-        return CalibrationCorrection(mean, np.sqrt(dispersion * np.diag(inverse)), news)
+        variances = np.linalg.inv(self._all + np.diag(np.append(PRIOR_SIGMAS, OTHER_SIGMAS) ** -2)).diagonal()[:2]
+        return CalibrationCorrection(mean, np.sqrt(dispersion * variances), news)

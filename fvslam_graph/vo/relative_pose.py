@@ -246,7 +246,7 @@ class _Fit:
         information = columns.T @ (weight[:, None] * columns) + pull.T @ J_calibration
         gradient = -columns.T @ (weight * distance)
         evidence = CalibrationEvidence(information / self.noise**2, gradient / self.noise**2)
-        return np.asarray(J_calibration, float), evidence
+        return np.asarray(J_calibration[:, :2], float), evidence
 
     def cost(self, noise: float) -> float:
         """Cauchy cost of the epipolar distances, and of how the depths depart from those known, up to their scale."""
