@@ -21,7 +21,7 @@ class KltTracker:
     """Aligns each point's patch in the keyframe with the current image (Bouguet 2000), checked backwards.
 
     Every image is aligned with the keyframe itself, never with the image before, so that errors do not add up while
-    one image stays the keyframe.
+    one image stays the keyframe. A point is looked for where it would be if it went on as from the image before.
     """
 
     def __init__(self, settings: FeatureSettings) -> None:
@@ -34,7 +34,8 @@ class KltTracker:
         self._points = np.empty((0, 2), np.float32)
         self._covariances = np.empty((0, 2, 2))
         self._bias = np.empty((0, 2, 2, 2))
-        self._guess = self._points  # where they were seen last
+        self._seen = self._points  # where they were last,
+        self._steps = self._points  # and how far they went from one image to the next
 
     def track(self, image: Image) -> Tracks:
         """The points of the keyframe that are found in `image`, forwards and back within `klt_backward` pixels."""
@@ -48,7 +49,8 @@ class KltTracker:
             others = self._follow(keyframe, image)
             if others[1].sum() > good.sum():
                 self._image, (found, good) = keyframe, others
-        self._guess = np.where(good[:, None], found, self._guess)
+        self._steps = np.where(good[:, None], found - self._seen, self._steps)
+        self._seen = np.where(good[:, None], found, self._seen)
         current = found[good].astype(float)
         points = self._points[good].astype(float)
         return Tracks(self._ids[good], points, current, self._covariances[good], self._bias[good])
@@ -60,18 +62,29 @@ class KltTracker:
         if image is not self._last:
             self._last, self._reduced = image, reduced(image)
         self._image = image
+        self._steps = self._expected_steps(kept, corners)
         self._points = np.vstack([kept.current, corners]).astype(np.float32)
         self._ids = np.concatenate([kept.ids, self._next_id + np.arange(len(corners))])
         self._next_id += len(corners)
-        self._guess = self._points
+        self._seen = self._points
         points = self._points.astype(float)
         self._covariances = texture.displacement_covariances(points)
         self._bias = alignment_bias(image, self._points, self.settings.klt_window)
         return Tracks(self._ids, points, points, self._covariances, self._bias)
 
+    def _expected_steps(self, kept: Tracks, corners: NDArray[np.float32]) -> NDArray[np.float32]:
+        """How far points will go to the next image, (N, 2): as far as before, new corners as far as what is near."""
+        if not len(kept):
+            return np.zeros((len(corners), 2), np.float32)
+        _, mine, theirs = np.intersect1d(self._ids, kept.ids, assume_unique=True, return_indices=True)
+        steps = np.zeros((len(kept), 2), np.float32)
+        steps[theirs] = self._steps[mine]
+        near = ((corners[:, None] - kept.current) ** 2).sum(axis=2).argmin(axis=1)
+        return np.vstack([steps, steps[near]])
+
     def _follow(self, keyframe: Image, image: Image) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Pixels (N, 2) where the points are in the image, and (N,) whether the way back leads to where they were."""
-        found, forward = self._align(keyframe, image, self._points, self._guess, self.settings.klt_levels)
+        found, forward = self._align(keyframe, image, self._points, self._seen + self._steps, self.settings.klt_levels)
         # The way back starts at the answer, so that the full image suffices.
         returned, backward = self._align(image, keyframe, found, self._points, 0)
         height, width = image.shape

@@ -1,5 +1,6 @@
 """Tracking: how well points are found again, and which are not."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -92,3 +93,20 @@ def test_points_keep_their_ids(texture, tracker):
     again = tracker.track(texture((33.0, 1.0)))
     assert np.isin(again.ids, points.ids).all()
     assert np.median(misses(again, (3.0, 1.0))) < 0.03
+
+
+def test_tiles_are_followed_when_they_go_by_more_than_half_of_one():
+    """Each image is a keyframe, as on a fast vehicle: where points were going tells which of all tiles is the same."""
+    rng = np.random.default_rng(0)
+    floor = cv2.GaussianBlur(np.tile(rng.uniform(0, 255, (480, 60)), (1, 20)), (0, 0), 1.5)[:, 60:-60]
+    floor = cv2.normalize(floor, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    tracker = KltTracker(FeatureSettings())
+    kept, at = tracker.set_keyframe(floor[:, 400:1040], Tracks.none()), 400
+    for step in (10, 25, 35, 35, 35):
+        at -= step
+        tracks = tracker.track(floor[:, at : at + 640])
+        assert np.median(misses(tracks, (step, 0))) < 0.1
+        kept = tracker.set_keyframe(floor[:, at : at + 640], tracks)
+    followed = tracker.track(floor[:, at - 35 : at + 605])
+    assert np.mean(misses(followed, (35, 0)) < 0.5) > 0.9  # new corners as well
+    assert len(kept) > 200
