@@ -31,7 +31,7 @@ class CalibrationCorrection:
     """What is to be added to the calibration of the file from now on.
 
     Attributes:
-        mean: (2,) to the logarithm of the focal length and to k1.
+        mean: (2,) to the logarithm of the focal length and to k1; none to one that is not certain.
         sigmas: (2,) standard deviations, by how much pairs of images differ, whatever else of the calibration is wrong.
         news: What pairs say of it that had no part in the correction before.
     """
@@ -85,7 +85,7 @@ class OnlineCalibration:
         correction = self._pairs.correction(self._known)
         if self._now is None:
             gain = 0.5 * correction.mean @ self._pairs.information @ correction.mean / self._pairs.count
-            if gain < GROSS or not np.any(np.abs(correction.mean) > CERTAIN * correction.sigmas):
+            if gain < GROSS:
                 return None
             self._warn(correction)
             self._pairs = _Pairs()  # these were linearised where the calibration was wrong
@@ -110,31 +110,50 @@ class _Pairs:
 
     def __init__(self) -> None:
         self.count = 0
-        self.information, self.score = np.zeros((2, 2)), np.zeros(2)
-        self._all = np.zeros((7, 7))  # information of the other numbers as well
-        # Second moments of both.
+        self._all, self._all_score = np.zeros((7, 7)), np.zeros(7)  # information, and gradient of the likelihood
+        # Second moments of both, of the two numbers that are estimated.
         self._scores, self._mixed, self._informations = np.zeros((2, 2)), np.zeros((2, 2, 2)), np.zeros((2, 2, 2, 2))
+
+    @property
+    def information(self) -> Array:
+        """(2, 2) of the two numbers that are estimated, if all others are right."""
+        return self._all[:2, :2]
+
+    @property
+    def score(self) -> Array:
+        """(2,) gradient of the log likelihood, of these."""
+        return self._all_score[:2]
 
     def add(self, information: Array, score: Array) -> None:
         """Take in a pair: (7, 7) and (7,)."""
         self.count += 1
         self._all += information
+        self._all_score += score
         information, score = information[:2, :2], score[:2]
-        self.information += information
-        self.score += score
         self._scores += np.outer(score, score)
         self._mixed += np.multiply.outer(information, score)
         self._informations += np.multiply.outer(information, information)
 
     def correction(self, known: CalibrationEvidence) -> CalibrationCorrection:
-        """The most likely one; pairs differ by more than their residuals say, and all count for less."""
-        inverse = np.linalg.inv(self.information + np.diag(PRIOR_SIGMAS**-2))
-        mean = inverse @ self.score
-        mixed = np.einsum("ijk,j->ik", self._mixed, mean)
-        spread = self._scores - mixed - mixed.T + np.einsum("ijkl,j,l->ik", self._informations, mean, mean)
-        dispersion = max(float(np.trace(spread @ inverse)) / 2 * self.count / (self.count - 1), 1.0)
+        """The most likely one of what is certain; pairs differ by more than their residuals say, and count for less."""
+        dispersion = self._dispersion(self._likeliest(np.ones(2, bool)))
+        whole = np.linalg.inv(self._all + np.diag(np.append(PRIOR_SIGMAS, OTHER_SIGMAS) ** -2))
+        sigmas = np.sqrt(dispersion * whole.diagonal()[:2])
+        certain = np.abs(whole[:2] @ self._all_score) > CERTAIN * sigmas
         news = CalibrationEvidence(
             (self.information - known.information) / dispersion, (self.score - known.gradient) / dispersion
         )
-        variances = np.linalg.inv(self._all + np.diag(np.append(PRIOR_SIGMAS, OTHER_SIGMAS) ** -2)).diagonal()[:2]
-        return CalibrationCorrection(mean, np.sqrt(dispersion * variances), news)
+        return CalibrationCorrection(self._likeliest(certain), sigmas, news)
+
+    def _likeliest(self, free: NDArray[np.bool_]) -> Array:
+        """(2,) where only some of both numbers are free."""
+        inverse = np.linalg.inv(self.information + np.diag(PRIOR_SIGMAS**-2 / np.where(free, 1.0, 1e-12)))
+        mean: Array = inverse @ self.score
+        return mean
+
+    def _dispersion(self, mean: Array) -> float:
+        """By how much more pairs differ from a correction than their residuals say, as a factor of variances."""
+        mixed = np.einsum("ijk,j->ik", self._mixed, mean)
+        spread = self._scores - mixed - mixed.T + np.einsum("ijkl,j,l->ik", self._informations, mean, mean)
+        inverse = np.linalg.inv(self.information + np.diag(PRIOR_SIGMAS**-2))
+        return max(float(np.trace(spread @ inverse)) / 2 * self.count / (self.count - 1), 1.0)
