@@ -79,7 +79,7 @@ class KltTracker:
         _, mine, theirs = np.intersect1d(self._ids, kept.ids, assume_unique=True, return_indices=True)
         steps = np.zeros((len(kept), 2), np.float32)
         steps[theirs] = self._steps[mine]
-        near = ((corners[:, None] - kept.current) ** 2).sum(axis=2).argmin(axis=1)
+        near = ((kept.current**2).sum(axis=1) - 2 * corners @ kept.current.T).argmin(axis=1)
         return np.vstack([steps, steps[near]])
 
     def _follow(self, keyframe: Image, image: Image) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

@@ -166,6 +166,8 @@ def with_known_depths(
     if refined is None or refined.agree.mean() < MIN_SHARE:
         return None
     metres = refined.pose.mean.translation()
+    if not np.any(metres):
+        return None
     return replace(
         relative_pose,
         rotation=refined.pose.mean.rotation(),
