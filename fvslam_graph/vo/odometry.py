@@ -254,7 +254,9 @@ class VisualOdometry:
         with self._stopwatch.stage("scale"):
             tracks = replace(tracks, current=current)[inliers]
             unit = self._triangulated(tracks, relative_pose.unit_pose, relative_pose.noise, relative_pose.covariance)
-            if trusted is not None and not relative_pose.is_certain:
+            # Where keyframes follow each other, depths by one motion in the next one would make its errors grow.
+            lasted = self._last_stamp > self._keyframe.stamp
+            if trusted is not None and lasted and not relative_pose.is_certain:
                 better = with_known_depths(relative_pose, tracks, unit, trusted, self.camera)
                 if better is not None:
                     relative_pose = better
