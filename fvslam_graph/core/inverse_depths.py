@@ -78,28 +78,23 @@ class InverseDepths:
 
         The errors that the depths of either share have nothing in common.
         """
-        mine, theirs = self.match(other.ids)
         ours = self.compressed()
-        information = self.sigmas[mine] ** -2 + other.sigmas[theirs] ** -2
-        weight = self.sigmas[mine] ** -2 / information
-        only_mine = np.setdiff1d(np.arange(len(self)), mine)
+        mine, theirs = ours.match(other.ids)
+        information = ours.sigmas[mine] ** -2 + other.sigmas[theirs] ** -2
+        weight = ours.sigmas[mine] ** -2 / information
+        only_mine = np.setdiff1d(np.arange(len(ours)), mine)
         only_theirs = np.setdiff1d(np.arange(len(other)), theirs)
         size = ours.common.shape[1]
-        common = np.zeros((len(mine) + len(only_mine) + len(only_theirs), size + other.common.shape[1]))
-        both, first = slice(0, len(mine)), slice(len(mine), len(self))
+        common = np.zeros((len(ours) + len(only_theirs), size + other.common.shape[1]))
+        both, first = slice(0, len(mine)), slice(len(mine), len(ours))
         common[both, :size] = weight[:, None] * ours.common[mine]
         common[both, size:] = (1 - weight)[:, None] * other.common[theirs]
         common[first, :size] = ours.common[only_mine]
-        common[len(self) :, size:] = other.common[only_theirs]
+        common[len(ours) :, size:] = other.common[only_theirs]
+        mean = weight * ours.values[mine] + (1 - weight) * other.values[theirs]
         return InverseDepths(
-            np.concatenate([self.ids[mine], self.ids[only_mine], other.ids[only_theirs]]),
-            np.concatenate(
-                [
-                    weight * self.values[mine] + (1 - weight) * other.values[theirs],
-                    self.values[only_mine],
-                    other.values[only_theirs],
-                ]
-            ),
+            np.concatenate([ours.ids[mine], ours.ids[only_mine], other.ids[only_theirs]]),
+            np.concatenate([mean, ours.values[only_mine], other.values[only_theirs]]),
             np.concatenate([information**-0.5, ours.sigmas[only_mine], other.sigmas[only_theirs]]),
             common,
         )

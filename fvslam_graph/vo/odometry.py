@@ -257,10 +257,10 @@ class VisualOdometry:
             # Where keyframes follow each other, depths by one motion in the next one would make its errors grow.
             lasted = self._last_stamp > self._keyframe.stamp
             if trusted is not None and lasted and not relative_pose.is_certain:
-                better = with_known_depths(relative_pose, tracks, unit, trusted, self.camera)
-                if better is not None:
-                    relative_pose = better
-                    unit = self._triangulated(tracks, better.unit_pose, better.noise, better.covariance)
+                relative_pose = with_known_depths(relative_pose, tracks, unit, trusted, self.camera) or relative_pose
+                unit = self._triangulated(
+                    tracks, relative_pose.unit_pose, relative_pose.noise, relative_pose.covariance
+                )
             fallback = self._motion_model.distance(frame.stamp - self._keyframe.stamp)
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = self._guess(unit)
@@ -303,13 +303,15 @@ class VisualOdometry:
         kept = ~used
         kept[used] = refined.agree
         tracks = tracks[kept]
+        errors = None
         if self._is_worn_out(tracks):  # what is left of the keyframe is triangulated while it can be
+            errors = square_root(refined.direction_covariance)
             new = tracks[~np.isin(tracks.ids, known.depths.ids)]
             found = self._triangulated(new, refined.pose.mean, refined.noise, refined.direction_covariance)
             known = MetricMap(known.depths.fused(found[found.values > 0]), known.variance)
         # The map's scale is uncertain, and the distance travelled in it likewise.
         pose = refined.pose.with_scale_variance(known.variance)
-        return KeyframeMotion(pose, tracks, known, J_calibration=refined.J_calibration)
+        return KeyframeMotion(pose, tracks, known, J_calibration=refined.J_calibration, errors=errors)
 
     def _triangulated(
         self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]

@@ -102,6 +102,19 @@ def test_what_is_shared_averages_out_with_the_rest():
     assert again.common @ again.common.T == pytest.approx(once.common @ once.common.T / 2)
 
 
+def test_what_is_no_longer_in_common_is_not_lost_where_both_know_a_point():
+    rng = np.random.default_rng(0)
+    common = 1e-2 * rng.standard_normal((40, 10))
+    old = InverseDepths(np.arange(40), np.full(40, 0.1), np.full(40, 1e-3), common)
+    new = InverseDepths(np.arange(40), np.full(40, 0.2), np.full(40, 1e-2), np.zeros((40, 5)))
+    both = old.fused(new)
+    own = old.compressed().sigmas
+    weight = own**-2 / (own**-2 + 1e-2**-2)
+    assert both.sigmas == pytest.approx((own**-2 + 1e-2**-2) ** -0.5)
+    assert both.values == pytest.approx(0.1 * weight + 0.2 * (1 - weight))
+    assert np.median(weight) < 0.5  # of what the newer one tells, ten errors in common leave little to the older
+
+
 def test_of_errors_in_common_the_most_important_are_kept():
     rng = np.random.default_rng(0)
     common = rng.standard_normal((40, 10)) * np.geomspace(1e-2, 1e-4, 10)
