@@ -76,7 +76,7 @@ def calibration_jacobian(
     """How the distances of `epipolar_distance` change with the calibration, (N, 7), pixels.
 
     With the logarithm of the focal length, and with OpenCV's k1, k2, principal point (in focal lengths), p1 and p2, as
-    long as these are small: the ray (x, y, 1) of a pixel is (x, y) less its `_bends` in truth. Distances stay those in
+    long as these are small: the ray (x, y, 1) of a pixel is (x, y) less its `bends` in truth. Distances stay those in
     the images as they are.
 
     Args:
@@ -85,9 +85,8 @@ def calibration_jacobian(
     essential: NDArray[np.float64] = gtsam.SO3.Hat(direction) @ rotation.matrix()
     normal, foot, weight, distance = _perpendicular(matched.previous @ essential, matched)
     line = matched.previous @ essential[:, :2]
-    J_line = _bends(matched.previous) @ essential[:2]  # (7, N, 3)
-    bends = _bends(matched.current)
-    moved = (J_line[:, :, :2] * foot).sum(axis=2) + J_line[:, :, 2] + (line * bends).sum(axis=2)
+    J_line = bends(matched.previous) @ essential[:2]  # (7, N, 3)
+    moved = (J_line[:, :, :2] * foot).sum(axis=2) + J_line[:, :, 2] + (line * bends(matched.current)).sum(axis=2)
     # How much longer distances become in the image: along the normal, bends grow so much.
     (x, y), (a, b) = matched.current[:, :2].T, normal.T
     square, across = x * x + y * y, (a * x + b * y) ** 2
@@ -100,12 +99,12 @@ def calibration_jacobian(
     return changes
 
 
-def _bends(rays: Rays) -> NDArray[np.float64]:
-    """How the rays of pixels are off by one unit of each number of the calibration, (7, N, 2)."""
+def bends(rays: Rays) -> NDArray[np.float64]:
+    """How rays of pixels, (N, 2) or more, are off by one unit of each number of `calibration_jacobian`, (7, N, 2)."""
     x, y = rays[:, :2].T
     square = x * x + y * y
     one, zero = np.ones_like(x), np.zeros_like(x)
-    bends: NDArray[np.float64] = np.array(
+    off: NDArray[np.float64] = np.array(
         [
             [x, y],
             [square * x, square * y],
@@ -116,7 +115,7 @@ def _bends(rays: Rays) -> NDArray[np.float64]:
             [square + 2 * x * x, 2 * x * y],
         ]
     ).swapaxes(1, 2)
-    return bends
+    return off
 
 
 def _perpendicular(

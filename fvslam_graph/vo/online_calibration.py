@@ -31,7 +31,7 @@ class CalibrationCorrection:
     """What is to be added to the calibration of the file from now on.
 
     Attributes:
-        mean: (2,) to the logarithm of the focal length and to k1; none to one that is not certain.
+        mean: (2,) to the logarithm of the focal length and to k1; nothing to one that never was certain.
         sigmas: (2,) standard deviations, by how much pairs of images differ, whatever else of the calibration is wrong.
         news: What pairs say of it that had no part in the correction before.
     """
@@ -58,6 +58,7 @@ class OnlineCalibration:
         self._before: Recalibration | None = None
         self._now: Recalibration | None = None
         self._pairs, self._next = _Pairs(), MIN_PAIRS
+        self._estimated = np.zeros(2, bool)  # what was certain once
         self._known = CalibrationEvidence(np.zeros((2, 2)), np.zeros(2))  # what had a part in the last correction
 
     def rectified(self, frame: Frame) -> Frame:
@@ -82,7 +83,7 @@ class OnlineCalibration:
         self._pairs.add(evidence.information, evidence.gradient + evidence.information[:, :2] @ self.applied)
         if self._pairs.count < self._next:
             return None
-        correction = self._pairs.correction(self._known)
+        correction = self._pairs.correction(self._known, self._estimated)
         if self._now is None:
             gain = 0.5 * correction.mean @ self._pairs.information @ correction.mean / self._pairs.count
             if gain < GROSS:
@@ -93,6 +94,7 @@ class OnlineCalibration:
             self._known = CalibrationEvidence(self._pairs.information.copy(), self._pairs.score.copy())
             self._next = 2 * self._pairs.count
         self.applied = correction.mean
+        self._estimated |= correction.mean != 0
         self._before, self._now = self._now, Recalibration(self._camera, *correction.mean)
         return correction
 
@@ -134,25 +136,30 @@ class _Pairs:
         self._mixed += np.multiply.outer(information, score)
         self._informations += np.multiply.outer(information, information)
 
-    def correction(self, known: CalibrationEvidence) -> CalibrationCorrection:
-        """The most likely one of what is certain; pairs differ by more than their residuals say, and count for less."""
+    def correction(self, known: CalibrationEvidence, estimated: NDArray[np.bool_]) -> CalibrationCorrection:
+        """The most likely one; pairs differ by more than their residuals say, and all count for less.
+
+        Args:
+            known: What had a part in an earlier one.
+            estimated: (2,) what is corrected in any case; else only what is certain, whatever the other numbers are.
+        """
         dispersion = self._dispersion(self._likeliest(np.ones(2, bool)))
         whole = np.linalg.inv(self._all + np.diag(np.append(PRIOR_SIGMAS, OTHER_SIGMAS) ** -2))
         sigmas = np.sqrt(dispersion * whole.diagonal()[:2])
-        certain = np.abs(whole[:2] @ self._all_score) > CERTAIN * sigmas
+        certain = np.abs((whole @ self._all_score)[:2]) > CERTAIN * sigmas
         news = CalibrationEvidence(
             (self.information - known.information) / dispersion, (self.score - known.gradient) / dispersion
         )
-        return CalibrationCorrection(self._likeliest(certain), sigmas, news)
+        return CalibrationCorrection(self._likeliest(estimated | certain), sigmas, news)
 
     def _likeliest(self, free: NDArray[np.bool_]) -> Array:
-        """(2,) where only some of both numbers are free."""
-        inverse = np.linalg.inv(self.information + np.diag(PRIOR_SIGMAS**-2 / np.where(free, 1.0, 1e-12)))
-        mean: Array = inverse @ self.score
+        """Correction (2,) where only some of both numbers are free."""
+        mean, among = np.zeros(2), np.ix_(free, free)
+        mean[free] = np.linalg.solve((self.information + np.diag(PRIOR_SIGMAS**-2))[among], self.score[free])
         return mean
 
     def _dispersion(self, mean: Array) -> float:
-        """By how much more pairs differ from a correction than their residuals say, as a factor of variances."""
+        """Factor of variances by which pairs differ from a correction, where they differ by more than residuals say."""
         mixed = np.einsum("ijk,j->ik", self._mixed, mean)
         spread = self._scores - mixed - mixed.T + np.einsum("ijkl,j,l->ik", self._informations, mean, mean)
         inverse = np.linalg.inv(self.information + np.diag(PRIOR_SIGMAS**-2))

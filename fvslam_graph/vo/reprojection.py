@@ -13,6 +13,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.quick import median
 from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.vo.epipolar import bends
 
 MIN_DEPTH_RATIO = 0.05  # times as far away as in the keyframe: nearer than that, nothing is followed
 
@@ -137,11 +138,8 @@ def _calibration_jacobian(seen: Array, there: Array, R: Array, expected: tuple[A
         focal: (2,) pixels.
     """
     xy, depth = expected
-    # Both rays of a track change by -(x, y) and -(x^2 + y^2) (x, y).
     J_calibration = np.empty((len(xy), 2, 2))
-    for column, (first, second) in enumerate(
-        ((-seen, -there), (-(seen**2).sum(axis=1)[:, None] * seen, -(there**2).sum(axis=1)[:, None] * there))
-    ):
+    for column, (first, second) in enumerate(zip(-bends(seen)[:2], -bends(there)[:2], strict=True)):
         change = first @ R[:2]
         J_calibration[:, :, column] = focal * ((change[:, :2] - xy * change[:, 2:]) / depth[:, None] - second)
     return J_calibration

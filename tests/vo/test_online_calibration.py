@@ -9,6 +9,7 @@ import pytest
 from fvslam_graph.core.camera import Distortion, Recalibration
 from fvslam_graph.core.config import VoSettings, load_config
 from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.core.vo_estimate import CalibrationEvidence
 from fvslam_graph.estimator import estimate
 from fvslam_graph.testing import rendered
 from fvslam_graph.vo.online_calibration import OnlineCalibration
@@ -87,6 +88,20 @@ def test_what_only_looks_like_a_wrong_focal_length_corrects_nothing(camera, two_
     """A principal point that is off: taken alone, the focal length would be wrong by more than ten deviations."""
     online, true = OnlineCalibration(camera), replace(camera, cx=camera.cx + 8)
     assert not any(online.add(pair(camera, two_views, true, 0.3, seed)) for seed in range(25))
+
+
+def test_what_was_corrected_stays_when_later_pairs_are_not_certain(camera, two_views):
+    """The pairs before a correction do not count after it, and the first ones since tell less."""
+    online, true = OnlineCalibration(camera), lens(camera, 0.0, 0.03)
+    assert any(online.add(pair(camera, two_views, true, 0.2, seed)) for seed in range(25))  # until one corrects
+    since = OnlineCalibration(camera)
+    for number in range(8):
+        information = np.diag([1e4, 3e3, 1.0, 1.0, 1.0, 1.0, 1.0])  # k1 within 0.008 by five of them
+        left = np.array([0.0, 0.03 - online.applied[1], 0, 0, 0, 0, 0])
+        online.add(CalibrationEvidence(information, information @ left))
+        since.add(CalibrationEvidence(information, information @ np.array([0.0, 0.03, 0, 0, 0, 0, 0])))
+        assert online.applied[1] == pytest.approx(0.03, abs=0.01), number
+    assert not since.applied.any()  # by themselves, they correct nothing
 
 
 def test_it_can_be_switched_off(camera, two_views):
