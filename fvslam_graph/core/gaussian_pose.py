@@ -52,6 +52,10 @@ class GaussianPose:
         """The same with so much more variance of the logarithm of its length; less, where it is negative."""
         return GaussianPose(self.mean, self.covariance + variance * np.outer(self.travel, self.travel))
 
+    def room_for_scale(self, variance: float) -> float:
+        """As much of this variance of the logarithm of its length as its covariance has room for."""
+        return _room(variance, self.travel, self.covariance) if self.travel.any() else variance
+
     def after_loss(self, distance: float) -> GaussianPose:
         """The same where nothing of the scene, `distance` metres away, was found again; the mean is a motion model's.
 
@@ -100,8 +104,7 @@ class ScaledPose:
         if not self.variance > 0:
             return ScaledPose.of(pose)
         direction = self.scale_covariance / self.variance
-        known = float(direction @ np.linalg.pinv(pose.covariance, hermitian=True) @ direction)
-        variance = min(self.variance, 1 / known) if known > 0 else 0.0
+        variance = _room(self.variance, direction, pose.covariance)
         return ScaledPose(pose, np.zeros((6, 6)), variance * direction, variance)
 
     def compose(self, step: ScaledPose) -> ScaledPose:
@@ -135,6 +138,12 @@ class LogScale:
     def metres(self) -> float:
         """Length of the baseline."""
         return math.exp(self.mean)
+
+
+def _room(variance: float, direction: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
+    """The variance of an error along `direction` (6,), at most that of which a covariance (6, 6) has room."""
+    known = float(direction @ np.linalg.pinv(covariance, hermitian=True) @ direction)
+    return min(variance, 1 / known) if known > 0 else 0.0
 
 
 def square_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -112,13 +112,16 @@ class VoEstimate:
 
     @property
     def step(self) -> OdometryStep:
-        """The motion, for fusion."""
+        """The motion, for fusion.
+
+        Where a camera turns, its translation hardly has the scale of the map, of which that may be doubtful.
+        """
         measured = self.status in (Status.TRACKED, Status.STATIC)
         return OdometryStep(
             self.previous,
             self.prev_T_cur,
             self.scale,
-            self.map.variance,
+            self.prev_T_cur.room_for_scale(self.map.variance),
             self.awaited,
             measured,
             self.J_calibration,

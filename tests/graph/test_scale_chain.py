@@ -12,9 +12,11 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings, ScaleSettings
 from fvslam_graph.core.frame_result import FACTORS, G2O, VALUES
 from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
+from fvslam_graph.core.inverse_depths import MetricMap
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import LandmarkObservations
-from fvslam_graph.core.vo_estimate import OdometryStep, ScaleStep
+from fvslam_graph.core.trajectory import Status
+from fvslam_graph.core.vo_estimate import OdometryStep, ScaleStep, VoEstimate
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.graph.factor_graph import Graph
@@ -257,3 +259,19 @@ def test_the_files_have_the_lengths_that_were_found(tmp_path):
     assert motions.error(poses) == pytest.approx(0, abs=0.05)
     found = np.linalg.norm([motions.at(n).measured().translation() for n in range(30)], axis=1)
     assert found == pytest.approx(lengths(graph), rel=1e-4)
+
+
+def test_a_camera_that_turns_has_less_of_the_error_of_its_scale_than_a_doubtful_map():
+    turned = GaussianPose(gtsam.Pose3(gtsam.Rot3.Ry(0.1), np.array([0.07, 0.02, 0.01])), 1e-4 * np.eye(6))
+    doubtful = MetricMap(MetricMap.empty().depths, 1.01)
+    step = VoEstimate(1, 0, turned, Status.TRACKED, map=doubtful).step
+    assert 0 < step.scale_variance == pytest.approx(1e-4 / np.sum(turned.mean.translation() ** 2))
+    graph = Graph(CAMERA, GraphSettings(landmarks="none"))
+    graph.add_odometry(0.0, OdometryStep(0, GaussianPose.identity()))
+    graph.fuse(None)
+    graph.add_odometry(0.1, step)
+    fused = graph.fuse(None)
+    assert fused.mean.equals(turned.mean, 1e-6)
+    assert fused.covariance == pytest.approx(turned.covariance, rel=0.1, abs=1e-6)
+    level = VoEstimate(1, 0, turned.with_scale_variance(1.01), Status.TRACKED, map=doubtful).step
+    assert level.scale_variance == 1.01  # bit by bit, where there is room
