@@ -22,9 +22,9 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame, Sequence
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.plots.landmarks import OUTCOMES, recording_of
+from fvslam_graph.runs.frame_files import LANDMARKS
 from fvslam_graph.runs.landmark_table import landmark_columns, landmark_points, read_landmarks_by_frame
 from fvslam_graph.runs.results import Run
-from fvslam_graph.runs.run_folder import LANDMARKS
 
 if TYPE_CHECKING:
     import rerun as rr

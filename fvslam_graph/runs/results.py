@@ -48,7 +48,7 @@ class Run:
         frames: Columns of frames.csv, (N,) each.
         config: The effective settings.
         info: What run.json holds; see `RunWriter`.
-        relatives: None where the run did not come to its end,
+        relatives: None where they are not in the folder,
         pose_covariances: (N, 6, 6) of the online poses, in their tangents: likewise.
         gnss: Fixes of a receiver, where the recording has them.
         folder: Where it is written; None for a run in memory.

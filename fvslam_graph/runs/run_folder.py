@@ -6,17 +6,15 @@ A run is written while it goes on, so that a run that is interrupted or killed k
 from __future__ import annotations
 
 import csv
-import io
 import json
 import logging
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import replace
+from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, TextIO, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import yaml
@@ -28,23 +26,30 @@ from fvslam_graph.core.errors import CameraError, ResultsError
 from fvslam_graph.core.files import replacing, write_file, write_json, writing
 from fvslam_graph.core.frame_result import FACTORS, G2O, LANDMARKS_PLY, VALUES, Ending, FrameResult
 from fvslam_graph.core.sensors import SensorSeries
-from fvslam_graph.core.slam_estimate import SlamEstimate
 from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
-from fvslam_graph.core.tracks import Tracks
-from fvslam_graph.core.trajectory import Status, Trajectory, kitti_line, tum_line
+from fvslam_graph.core.trajectory import Status, Trajectory, kitti_line
 from fvslam_graph.core.validation import complaint
 from fvslam_graph.core.yaml_files import read_yaml_mapping
+from fvslam_graph.runs.frame_files import (
+    COVARIANCES,
+    FRAMES,
+    LANDMARKS,
+    ONLINE,
+    ONLINE_KITTI,
+    POSES,
+    FrameFiles,
+    read_arrays,
+    write_arrays,
+)
 from fvslam_graph.runs.gnss_file import read_fixes, write_fixes
-from fvslam_graph.runs.landmark_table import LANDMARK_COLUMNS, landmark_rows
 from fvslam_graph.runs.ownership import INFO, LOCK, MARK, FolderKind, claimed, disown, kind_of
 from fvslam_graph.runs.provenance import forget_peak_memory, peak_memory_mb, provenance, seconds_without_core
 from fvslam_graph.runs.results import Relatives, Run, ending_info
 
-ONLINE, ONLINE_KITTI = "trajectory_online.tum", "trajectory_online.kitti"
 SMOOTHED, SMOOTHED_KITTI = "trajectory_smoothed.tum", "trajectory_smoothed.kitti"
-GROUND_TRUTH, FRAMES, COVARIANCES = "ground_truth.tum", "frames.csv", "covariances.npz"
+GROUND_TRUTH = "ground_truth.tum"
 CONFIG, METRICS_FILE, REFERENCE = "config.yaml", "metrics.json", "reference.tum"
-LANDMARKS, GNSS_FILE = "landmarks.csv", "gnss.csv"
+GNSS_FILE = "gnss.csv"
 GRAPH_FILES = (G2O, LANDMARKS_PLY, FACTORS, VALUES)
 FIGURES = ("trajectory", "error", "drift", "covariance", "nees", "speed", "features")
 
@@ -53,7 +58,7 @@ UNFINISHED = "unfinished"  # a folder for a new run where a finished one is kept
 
 # Everything that a run, its evaluation and its plots leave in the folder; a new run into the same folder removes it.
 _OURS = (
-    *(ONLINE, ONLINE_KITTI, SMOOTHED, SMOOTHED_KITTI, GROUND_TRUTH, FRAMES, COVARIANCES, CONFIG, INFO),
+    *(ONLINE, ONLINE_KITTI, SMOOTHED, SMOOTHED_KITTI, GROUND_TRUTH, FRAMES, COVARIANCES, POSES, CONFIG, INFO),
     *GRAPH_FILES,
     *(LANDMARKS, GNSS_FILE, METRICS_FILE, REFERENCE),
     *(f"{error}_{part}.zip" for error in ("ape", "rpe", "rpe_1m") for part in ("trans", "rot")),
@@ -62,7 +67,6 @@ _OURS = (
     f"plot_landmarks_{6 * '[0-9]'}.png",
 )
 
-_NO_TRACKS = Tracks.none()
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
@@ -70,9 +74,10 @@ _T = TypeVar("_T")
 class RunWriter:
     """Writes a run folder; a context manager around the loop over the frames.
 
-    A line per frame goes to `trajectory_online.tum` and `frames.csv`, one per landmark to `landmarks.csv`. `run.json`
-    says "running" until the end, then "finished", "interrupted" or "failed: ...". The end also brings
-    `trajectory_online.kitti` and `covariances.npz`, and in mode `graph` the smoothed trajectory and the graph.
+    Each frame is a line of `trajectory_online.tum` and `frames.csv`, its landmarks are lines of `landmarks.csv`, and
+    its covariances are in `poses.bin`. `run.json` says "running" until the end, then "finished", "interrupted" or
+    "failed: ...". The end also brings `trajectory_online.kitti`, `covariances.npz` in place of `poses.bin`, and in mode
+    `graph` the smoothed trajectory and the graph.
 
     Args:
         folder: Created. A finished run that it holds is kept until this one is finished, too, which is in the folder
@@ -103,8 +108,6 @@ class RunWriter:
         self._metadata = dict(metadata)
         self._ground_truth = ground_truth
         self._gnss = gnss
-        self._results: list[FrameResult] = []
-        self._landmarks: TextIO | None = None
         self._finish = finish
 
     def __enter__(self) -> RunWriter:
@@ -125,28 +128,14 @@ class RunWriter:
                 if self._gnss is not None:
                     with replacing(self._place / GNSS_FILE) as temporary:
                         write_fixes(temporary, self._gnss)
-                self._trajectory = stack.enter_context((self._place / ONLINE).open("w"))
-                self._frames = stack.enter_context((self._place / FRAMES).open("w", newline=""))
+                self._files = FrameFiles(self._place, stack)
                 self._write_info("running")  # last: from here on, this is a run, and all that one has is there
             self._stack = stack.pop_all()
         return self
 
     def add(self, result: FrameResult) -> None:
         """Write one frame; it is in the files when this returns."""
-        row = {"index": result.index, "stamp": f"{result.stamp:.9f}", "status": result.status.value}
-        row |= {name: f"{value:.9g}" for name, value in result.measures.items()}
-        row |= {f"{stage}_ms": f"{value:.3f}" for stage, value in result.times.items()}
-        with writing(self._place):
-            self._trajectory.write(tum_line(result.stamp, result.pose.mean))
-            self._trajectory.flush()
-            if not self._results:
-                self._table = csv.DictWriter(self._frames, fieldnames=list(row), lineterminator="\n")
-                self._table.writeheader()
-            self._table.writerow(row)
-            self._frames.flush()
-            if result.slam is not None:
-                self._write_landmarks(result.slam)
-        self._results.append(replace(result, slam=None, tracks=_NO_TRACKS, measures={}))  # large, and not needed again
+        self._files.add(result)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -154,10 +143,10 @@ class RunWriter:
         with self._stack:
             try:
                 with writing(self._place):
-                    self._close()
+                    self._files.close()
                     if kind is None or issubclass(kind, KeyboardInterrupt):
                         self._write_ending()
-                    self._write_results()
+                    write_arrays(self._place)
                     self._write_info(_status(error))
                     if kind is None and self._place != self.folder:
                         self._replace_finished()
@@ -168,23 +157,6 @@ class RunWriter:
                     raise
         if kind is not None and self._place != self.folder:
             _log.warning("%s keeps the finished run that it held; the new one is in %s", self.folder, self._place)
-
-    def _close(self) -> None:
-        for file in (self._trajectory, self._frames, self._landmarks):
-            if file is not None:
-                file.close()
-
-    def _write_results(self) -> None:
-        write_file(self._place / ONLINE_KITTI, "".join(kitti_line(result.pose.mean) for result in self._results))
-        arrays = io.BytesIO()
-        np.savez_compressed(
-            arrays,
-            previous=np.array([result.previous for result in self._results], dtype=np.int64),
-            prev_T_cur=np.array([r.relative.mean.matrix() for r in self._results]).reshape(-1, 4, 4),
-            covariances=np.array([r.relative.covariance for r in self._results]).reshape(-1, 6, 6),
-            pose_covariances=np.array([r.pose.covariance for r in self._results]).reshape(-1, 6, 6),
-        )
-        write_file(self._place / COVARIANCES, arrays.getvalue())
 
     def _write_ending(self) -> None:
         ending = self._finish()
@@ -203,31 +175,15 @@ class RunWriter:
                 path.replace(self.folder / path.name)
         disown(self._place)
 
-    def _write_landmarks(self, slam: SlamEstimate) -> None:
-        if self._landmarks is None:
-            self._landmarks = self._stack.enter_context((self._place / LANDMARKS).open("w"))
-            self._landmarks.write(",".join(LANDMARK_COLUMNS) + "\n")
-        self._landmarks.write(landmark_rows(slam))
-        self._landmarks.flush()
-
     def _write_info(self, status: str) -> None:
         info = {"status": status, **self._metadata, **provenance(), "totals": self._totals()}
         write_json(self._place / INFO, info)
 
     def _totals(self) -> dict[str, Any]:
-        stages = list(self._results[0].times) if self._results else []
-        times = {stage: np.array([result.times[stage] for result in self._results]) for stage in stages}
-        if times:
-            times["total"] = np.sum(list(times.values()), axis=0)
-        return {
-            "frames": len(self._results),
-            "statuses": Counter(result.status.value for result in self._results),
+        return self._files.totals() | {
             "seconds": (seconds := time.perf_counter() - self._begin),
             "cpu_seconds": time.process_time() - self._cpu,
             "waited": (seconds_without_core() - self._waited) / seconds,  # share of that time, for a core
-            "ms_per_frame": {
-                stage: {"median": float(np.median(ms)), "mean": float(np.mean(ms))} for stage, ms in times.items()
-            },
             "peak_memory_mb": peak_memory_mb(),
         }
 
@@ -246,8 +202,8 @@ def read_run(folder: Path) -> Run:
     stamps = frames.get("stamp", np.empty(0))
     written = Trajectory.read_tum(folder / ONLINE, unfinished=True) if len(stamps) else Trajectory(stamps, ())
     relatives, covariances = None, None
-    if (folder / COVARIANCES).exists():
-        relatives, covariances = _parsed(folder / COVARIANCES, _read_covariances)
+    if kept := [folder / name for name in (COVARIANCES, POSES) if (folder / name).exists()]:
+        relatives, covariances = _parsed(kept[0], _read_covariances)
     # Where the run was stopped between two writes, one file is a frame ahead of another.
     count = min(len(written), len(stamps), len(stamps if relatives is None else relatives.previous))
     if not np.allclose(written.stamps[:count], stamps[:count], rtol=0, atol=1e-6):
@@ -363,11 +319,8 @@ def _read_frames(path: Path) -> dict[str, NDArray[Any]]:
 
 def _read_covariances(path: Path) -> tuple[Relatives, NDArray[np.float64]]:
     """The relative motions, and the covariances (N, 6, 6) of the poses."""
-    if not path.is_file():  # a pipe would wait for ever
-        raise ValueError("it is no file")
-    with np.load(path) as arrays:
-        found = Relatives(arrays["previous"], arrays["prev_T_cur"], arrays["covariances"])
-        of_poses = arrays["pose_covariances"]
+    arrays = read_arrays(path)
+    found, of_poses = Relatives(*(arrays[field.name] for field in fields(Relatives))), arrays["pose_covariances"]
     count = len(found.previous)
     if (found.previous.shape, found.prev_T_cur.shape, found.covariances.shape, of_poses.shape) != (
         (count,),

@@ -11,8 +11,9 @@ from fvslam_graph.core.errors import FvslamError, ResultsError
 from fvslam_graph.evaluation import viewer
 from fvslam_graph.evaluation.viewer import Viewer, show_run
 from fvslam_graph.pipeline import run_sequence
+from fvslam_graph.runs.frame_files import LANDMARKS
 from fvslam_graph.runs.landmark_table import read_landmarks_by_frame
-from fvslam_graph.runs.run_folder import LANDMARKS, read_run
+from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.sequences.open import open_sequence
 
 FRAMES = 12

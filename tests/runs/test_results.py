@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -91,7 +92,23 @@ def test_every_frame_is_in_the_files_at_once(tmp_path: Path) -> None:
             writer.add(frame(index))
             run = read_run(tmp_path)
             assert len(run.online) == len(run.frames["tracks"]) == index + 1
-            assert (run.info["status"], run.relatives) == ("running", None)
+            assert run.info["status"] == "running"
+            assert run.relatives is not None and len(run.relatives.previous) == len(run.pose_covariances) == index + 1
+            assert run.relatives.covariances[index] == pytest.approx(frame(index).relative.covariance, nan_ok=True)
+    assert not (tmp_path / "poses.bin").exists()
+
+
+def test_the_incomplete_last_pose_of_a_killed_run_is_left_out(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", Settings(), FACTS) as writer:
+        writer.add(frame(0))
+        writer.add(frame(1))
+        shutil.copytree(tmp_path / "run", tmp_path / "killed")
+    poses = tmp_path / "killed" / "poses.bin"
+    poses.write_bytes(poses.read_bytes()[:-4])
+    run = read_run(tmp_path / "killed")
+    assert run.relatives is not None and len(run.relatives.previous) == len(run.online) == 1
+    write(tmp_path / "killed")
+    assert not poses.exists()
 
 
 @pytest.mark.parametrize("damaged", ["trajectory_online.tum", "frames.csv"])

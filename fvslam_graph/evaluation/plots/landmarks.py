@@ -16,10 +16,11 @@ from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.evaluation.plots.covariance import ellipse
 from fvslam_graph.evaluation.plots.runs import level_axes
 from fvslam_graph.evaluation.plots.style import PAGE_WIDTH, STYLE, legend_below, legible, save
+from fvslam_graph.runs.frame_files import LANDMARKS
 from fvslam_graph.runs.landmark_table import NEW, landmark_frames, landmark_points, read_landmarks
 from fvslam_graph.runs.ownership import INFO, claim_files
 from fvslam_graph.runs.results import Run
-from fvslam_graph.runs.run_folder import LANDMARKS, read_run
+from fvslam_graph.runs.run_folder import read_run
 from fvslam_graph.sequences.open import open_sequence
 
 if TYPE_CHECKING:

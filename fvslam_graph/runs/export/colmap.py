@@ -17,10 +17,10 @@ from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.core.frame_result import VALUES
 from fvslam_graph.core.text_files import OWN_MAX_SIZE, read_text
 from fvslam_graph.runs.export.poses import ExportedPoses
+from fvslam_graph.runs.frame_files import LANDMARKS
 from fvslam_graph.runs.landmark_table import Observations, read_observations
 from fvslam_graph.runs.ownership import INFO
 from fvslam_graph.runs.results import Run
-from fvslam_graph.runs.run_folder import LANDMARKS
 
 FIRST_PIXEL = 0.5  # where COLMAP has its centre
 MIN_TRACK = 2  # images that show a point
