@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from fvslam_graph.core.inverse_depths import MetricMap
-from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.tracks import FeatureTracker
+from fvslam_graph.vo.motion_measurement import Keyframe
 
 MEMORY = 3.0  # seconds for which a lost keyframe is looked for,
 REMEMBERED = 2  # and so many of them
@@ -18,15 +17,13 @@ class LostKeyframe:
     """A keyframe with all that it takes to go on from it.
 
     Attributes:
-        frame: Its image.
-        map: What is known of the depths of its points.
-        tracker: Finds these points.
+        keyframe: Its image and map.
+        tracker: Finds its points.
         stamp: Until when it was tracked.
         scale_known: Whether the map is in the scale of the run.
     """
 
-    frame: Frame
-    map: MetricMap
+    keyframe: Keyframe
     tracker: FeatureTracker
     stamp: float
     scale_known: bool
@@ -41,7 +38,7 @@ class LostKeyframes:
     @property
     def indices(self) -> tuple[int, ...]:
         """Indices of their frames."""
-        return tuple(keyframe.frame.index for keyframe in self._keyframes)
+        return tuple(lost.keyframe.frame.index for lost in self._keyframes)
 
     def add(self, keyframe: LostKeyframe) -> None:
         """Remember one more."""

@@ -1,0 +1,219 @@
+"""What an image shows of the motion since the keyframe: by two views, among points of known depth, or a rotation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fvslam_graph.core.camera import Camera
+from fvslam_graph.core.config import VoSettings
+from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale, square_root
+from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
+from fvslam_graph.core.quick import median
+from fvslam_graph.core.sequence import Frame
+from fvslam_graph.core.stopwatch import Stopwatch
+from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose, with_known_depths
+from fvslam_graph.vo.deformation import undeformed
+from fvslam_graph.vo.depth import triangulate
+from fvslam_graph.vo.epipolar import MatchedRays, rays
+from fvslam_graph.vo.keyframe_motion import KeyframeMotion, relative_variance, turning
+from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
+from fvslam_graph.vo.motion_model import ConstantVelocity
+from fvslam_graph.vo.relative_pose import TwoViews, estimate_relative_pose
+from fvslam_graph.vo.rotation import fit_rotation
+from fvslam_graph.vo.scale import MetricScale
+
+GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """What motions are measured against.
+
+    Attributes:
+        frame: Its image.
+        map: What is known of the depths of its points.
+        points: How many it has.
+        map_is_weak: A plane seen with little parallax has two solutions: the map may be of the wrong one.
+    """
+
+    frame: Frame
+    map: MetricMap
+    points: int
+    map_is_weak: bool = False
+
+
+@dataclass(frozen=True)
+class View:
+    """An image that shows points of the keyframe, and what is known of it beforehand.
+
+    Attributes:
+        keyframe: This.
+        frame: The image.
+        tracks: N points.
+        used: (N,) which of them tell the motion.
+        expected: keyframe_T_cur by the motion model.
+        distance: Metres to what is seen.
+        first: Whether it is the first since the keyframe.
+        stopwatch: Of its stages.
+    """
+
+    keyframe: Keyframe
+    frame: Frame
+    tracks: Tracks
+    used: NDArray[np.bool_]
+    expected: GaussianPose
+    distance: float
+    first: bool
+    stopwatch: Stopwatch
+
+
+class MotionMeasurement:
+    """Measures the motion of images against their keyframe.
+
+    Args:
+        camera: Of the rectified images.
+        settings: Of odometry.
+        scale: Tells lengths.
+        motion_model: Tells them where nothing else does.
+        rng: Draws the samples.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        settings: VoSettings,
+        scale: MetricScale,
+        motion_model: ConstantVelocity,
+        rng: np.random.Generator,
+    ) -> None:
+        self._camera, self._settings = camera, settings
+        self._scale, self._motion_model, self._rng = scale, motion_model, rng
+
+    def measure(self, view: View) -> KeyframeMotion | None:
+        """Two views where they tell most, else the map, else what is left; None where nothing fits."""
+        tracks = view.tracks
+        with view.stopwatch.stage("pose"):
+            rotation, unexplained = fit_rotation(
+                rays(self._camera, tracks.keyframe), rays(self._camera, tracks.current), self._camera.fx
+            )
+            parallax = median(unexplained)
+        motion = self._by_parallax(view, rotation, parallax)
+        return motion and replace(motion, parallax=parallax)
+
+    def from_map(self, view: View) -> KeyframeMotion | None:
+        """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
+        tracks, used, known = view.tracks, view.used, view.keyframe.map
+        if (located := self._locate(view)) is None:
+            return None
+        with view.stopwatch.stage("pose"):
+            seen = rays(self._camera, tracks.keyframe)
+            depths = known.depths.of(tracks.ids)
+            matched = MatchedRays.of(self._camera, tracks)
+            tracks = undeformed(tracks, matched, located.rotation(), located.translation(), depths)
+            refined = refine_absolute_pose(located, seen[used], tracks[used], depths[used], self._camera)
+        if refined is None or refined.agree.sum() < self._settings.min_inliers:
+            return None
+        kept = ~used
+        kept[used] = refined.agree
+        tracks = tracks[kept]
+        errors = None
+        if self.is_worn_out(view.keyframe, tracks):  # what is left of the keyframe is triangulated while it can be
+            errors = square_root(refined.direction_covariance)
+            new = tracks[~np.isin(tracks.ids, known.depths.ids)]
+            found = self._triangulated(new, refined.pose.mean, refined.noise, refined.direction_covariance)
+            known = MetricMap(known.depths.fused(found[found.values > 0]), known.variance)
+        # The map's scale is uncertain, and the distance travelled in it likewise.
+        pose = refined.pose.with_scale_variance(known.variance)
+        return KeyframeMotion(pose, tracks, known, J_calibration=refined.J_calibration, errors=errors)
+
+    def is_worn_out(self, keyframe: Keyframe, tracks: Tracks) -> bool:
+        """Whether so few of the keyframe's points are left that another one is needed."""
+        return len(tracks) < self._settings.keyframe_tracks * keyframe.points
+
+    def _by_parallax(self, view: View, rotation: gtsam.Rot3, parallax: float) -> KeyframeMotion | None:
+        far, some = parallax > self._settings.keyframe_parallax, parallax > self._settings.min_parallax
+        located = None if far else self.from_map(view)
+        if located is not None and not (some and view.keyframe.map_is_weak):
+            return located
+        if some and (motion := self._from_two_views(view)):
+            return motion if located is None else min(located, motion, key=relative_variance)
+        if far:
+            return self.from_map(view)
+        return located or self._rotation_only(view, rotation, parallax)
+
+    def _from_two_views(self, view: View) -> KeyframeMotion | None:
+        """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
+        keyframe, tracks, used = view.keyframe, view.tracks, view.used
+        trusted = None if keyframe.map_is_weak else keyframe.map.depths
+        with view.stopwatch.stage("pose"):
+            relative_pose = estimate_relative_pose(
+                tracks[used], self._camera, self._settings, self._seed(), self._expected(view), trusted
+            )
+        if relative_pose is None:
+            return None
+        inliers, current = ~used, tracks.current.copy()
+        inliers[used], current[used] = relative_pose.inliers, relative_pose.current
+        relative_pose = replace(relative_pose, inliers=inliers, current=current)
+        with view.stopwatch.stage("scale"):
+            tracks = replace(tracks, current=current)[inliers]
+            unit = self._triangulated(tracks, relative_pose.unit_pose, relative_pose.noise, relative_pose.covariance)
+            # Where keyframes follow each other, depths by one motion in the next one would make its errors grow.
+            if trusted is not None and not view.first and not relative_pose.is_certain:
+                relative_pose = with_known_depths(relative_pose, tracks, unit, trusted, self._camera) or relative_pose
+                unit = self._triangulated(
+                    tracks, relative_pose.unit_pose, relative_pose.noise, relative_pose.covariance
+                )
+            fallback = self._motion_model.distance(view.frame.stamp - keyframe.frame.stamp)
+            if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
+                fallback = _guess(unit, view.distance)
+            views = TwoViews(keyframe.frame, view.frame, relative_pose, rays(self._camera, tracks.keyframe), unit)
+            scale, known = self._scale.estimate(views, keyframe.map, fallback, self._rng)
+        J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
+        pose = metric_pose(relative_pose, scale.length)
+        evidence = None if keyframe.map_is_weak else relative_pose.evidence  # with the wrong motion, it would be wrong
+        errors = square_root(relative_pose.covariance)
+        return KeyframeMotion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence, errors=errors)
+
+    def _expected(self, view: View) -> Iterator[gtsam.Pose3]:
+        """Where the camera may be: as its motion leads there, and among the points of known depth."""
+        yield view.expected.mean
+        if (located := self._locate(view)) is not None:
+            yield located
+
+    def _locate(self, view: View) -> gtsam.Pose3 | None:
+        """Roughly where the camera is among the points of known depth."""
+        known = view.keyframe.map
+        mine, theirs = known.depths.match(view.tracks.ids)
+        used = view.used[theirs]
+        depths, seen = known.depths[mine[used]], view.tracks[theirs[used]]
+        points = rays(self._camera, seen.keyframe) / depths.values[:, None]
+        with view.stopwatch.stage("pose"):
+            return estimate_absolute_pose(points, seen.current, self._camera, self._settings, self._seed())
+
+    def _rotation_only(self, view: View, rotation: gtsam.Rot3, parallax: float) -> KeyframeMotion:
+        """Rotation alone, and no translation but what may hide in the parallax, and what the motion model expects."""
+        hidden = max(parallax, self._settings.static_parallax) / self._camera.fx
+        return KeyframeMotion(turning(rotation, hidden, view.distance, view.expected), view.tracks, view.keyframe.map)
+
+    def _triangulated(
+        self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
+    ) -> InverseDepths:
+        """Inverse depths of tracks by a motion, with the covariance of its rotation and direction."""
+        matched, motion = MatchedRays.of(self._camera, tracks), keyframe_T_cur
+        return triangulate(tracks.ids, matched, motion.rotation(), motion.translation(), noise, covariance)
+
+    def _seed(self) -> int:
+        return int(self._rng.integers(2**31))
+
+
+def _guess(unit: InverseDepths, distance: float) -> LogScale:
+    """The scale at which triangulated points are as far away as things usually are."""
+    seen = unit.values[unit.values > 0]
+    return LogScale(math.log(distance * median(seen)) if len(seen) else 0.0, GUESS)
