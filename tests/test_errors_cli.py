@@ -171,7 +171,7 @@ def test_a_disk_that_fills_up(drive, tmp_path, monkeypatch, refused):
     def full(self, result):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("fvslam_graph.runs.run_folder.tum_line", full)
+    monkeypatch.setattr("fvslam_graph.runs.frame_files.tum_line", full)
     refused("run cannot be written: No space left on device", "run", drive, "--out", tmp_path / "run")
 
 
