@@ -53,7 +53,7 @@ class GaussianPose:
         return GaussianPose(self.mean, self.covariance + variance * np.outer(self.travel, self.travel))
 
     def room_for_scale(self, variance: float) -> float:
-        """As much of this variance of the logarithm of its length as its covariance has room for."""
+        """Variance of the logarithm of its length, at most what its covariance holds; of no length, any."""
         return _room(variance, self.travel, self.covariance) if self.travel.any() else variance
 
     def after_loss(self, distance: float) -> GaussianPose:
@@ -141,7 +141,7 @@ class LogScale:
 
 
 def _room(variance: float, direction: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
-    """The variance of an error along `direction` (6,), at most that of which a covariance (6, 6) has room."""
+    """Variance of an error along `direction` (6,), at most what a covariance (6, 6) holds."""
     known = float(direction @ np.linalg.pinv(covariance, hermitian=True) @ direction)
     return min(variance, 1 / known) if known > 0 else 0.0
 

@@ -114,7 +114,7 @@ class VoEstimate:
     def step(self) -> OdometryStep:
         """The motion, for fusion.
 
-        Where a camera turns, its translation hardly has the scale of the map, of which that may be doubtful.
+        The translation of a camera that turns hardly depends on the scale of the map, however doubtful this is.
         """
         measured = self.status in (Status.TRACKED, Status.STATIC)
         return OdometryStep(

@@ -28,9 +28,9 @@ _POSE = np.dtype(
     [
         ("previous", np.int64),
         ("prev_T_cur", np.float64, (4, 4)),
-        ("covariance", np.float64, (6, 6)),
+        ("covariances", np.float64, (6, 6)),
         ("world_T_camera", np.float64, (4, 4)),
-        ("pose_covariance", np.float64, (6, 6)),
+        ("pose_covariances", np.float64, (6, 6)),
     ]
 )
 
@@ -126,9 +126,4 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _arrays(poses: NDArray[np.void]) -> dict[str, NDArray[Any]]:
-    return {
-        "previous": poses["previous"],
-        "prev_T_cur": poses["prev_T_cur"],
-        "covariances": poses["covariance"],
-        "pose_covariances": poses["pose_covariance"],
-    }
+    return {name: poses[name] for name in ("previous", "prev_T_cur", "covariances", "pose_covariances")}

@@ -46,7 +46,7 @@ class Keyframe:
     frame: Frame
     map: MetricMap
     points: int
-    map_is_weak: bool = False
+    map_is_weak: bool
 
 
 @dataclass(frozen=True)

@@ -151,11 +151,11 @@ class VisualOdometry:
             frame: The newest frame with its image as it is rectified from now on.
             estimate: Its estimate, with the tracks where they are in that image.
         """
+        assert self._keyframe is not None
         self._lost = LostKeyframes()
         pixels, far = estimate.tracks.current, np.subtract((self.camera.width, self.camera.height), BORDER + 1)
         inside = np.all((pixels > BORDER) & (pixels < far), axis=1)
-        weak = self._keyframe is None or self._keyframe.map_is_weak
-        self._set_keyframe(frame, estimate.tracks[inside], estimate.map, weak)
+        self._set_keyframe(frame, estimate.tracks[inside], estimate.map, self._keyframe.map_is_weak)
 
     def _measure(self, view: View) -> KeyframeMotion | None:
         """The motion that the image shows, and how much parallax it has; None where nothing fits."""
