@@ -14,16 +14,17 @@ from one_sentence import one_sentence
 from pages import save_table
 
 import fvslam_graph
-from fvslam_graph.core.camera import Distortion
+from fvslam_graph.core.camera import Camera, Distortion
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.evaluation.tables import Table
 from fvslam_graph.runs.results import Run
 from fvslam_graph.sequences.open import open_sequence
-from fvslam_graph.vo.distortion import measure_distortion
+from fvslam_graph.vo.self_calibration import RecordingCalibration, calibrate_by_tracks
 
 WORLD = "synthetic:uav?frames=200"  # one flight, one seed; drives and other flights are left out
 LENSES = ((0.0, 0.0), (0.02, 0.0), (0.02, 0.03), (-0.02, -0.03))  # k1, and what the file's focal length is off
 MODES = ("vo", "average", "graph")
+ALL_MODES = (*MODES, "vslam")
 
 Out = Annotated[Path, typer.Option(help="Folder for the table.")]
 OUT = Path("runs") / "calibration"
@@ -43,14 +44,50 @@ def lens(out: Out = OUT) -> None:
 
 
 @app.command()
-def residual(paths: Annotated[list[str], typer.Argument(help="Recordings.")], out: Out = OUT) -> None:
-    """Make a table of the k1 that the calibration of each recording has left, by the tracks of odometry."""
+def recordings(paths: Annotated[list[str], typer.Argument(help="Recordings.")], out: Out = OUT) -> None:
+    """Make two tables: what is left of each recording's calibration, and what modes err with it taken out.
+
+    Also by what another recording of the same camera says, which has seen nothing of this one.
+    """
     cv2.setNumThreads(1)
-    rows = []
-    for path in paths:
-        k1, sigma = measure_distortion(open_sequence(path))
-        rows.append([path if path.startswith("synthetic:") else Path(path).name, f"{k1:.4f}", f"{sigma:.4f}"])
-    save_table(out, "k1", Table(("recording", "k1", "standard deviation"), rows))
+    sequences = [open_sequence(path) for path in paths]
+    found = [calibrate_by_tracks(sequence) for sequence in sequences]
+    columns = ["recording", "pairs", "focal length (%)", "centre (pixels)", "k1", "k2", "p1", "p2"]
+    rows = [[sequence.name, *_left(sequence.camera, own)] for sequence, own in zip(sequences, found, strict=True)]
+    save_table(out, "left", Table(columns, rows, caption="Standard deviations; values of what is certain."))
+    rows = [
+        [sequence.name, by.name, *_before_and_after(sequence, own.camera)]
+        for sequence in sequences
+        for by, own in zip(sequences, found, strict=True)
+        if sequence.camera == by.camera and own.camera != by.camera.corrected(np.zeros(7))
+    ]
+    modes = [f"{mode} (m)" for mode in ALL_MODES]
+    columns = ["recording", "calibrated by", *modes, "vo (deg/100 m)"]
+    save_table(out, "taken-out", Table(columns, rows, caption="APE after Sim(3), and r_rel; before, after; one seed."))
+
+
+def _left(camera: Camera, own: RecordingCalibration) -> Iterator[str]:
+    """How many pairs, and by how much each number is off, with its standard deviation."""
+    found, sigmas = own.camera, own.sigmas
+    yield str(own.pairs)
+    yield _certain(100 * (found.fx / camera.fx - 1), 100 * sigmas[0] / camera.fx, 1)
+    right, down = found.cx - camera.cx, found.cy - camera.cy
+    yield f"{_certain(right, sigmas[2], 1)}, {_certain(down, sigmas[3], 1)}"
+    for value, sigma in zip(found.coefficients, sigmas[4:], strict=True):
+        yield _certain(value, sigma, 4)
+
+
+def _certain(value: float, sigma: float, digits: int) -> str:
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}" if value else f"+- {sigma:.{digits}f}"
+
+
+def _before_and_after(sequence: Sequence, camera: Camera) -> Iterator[str]:
+    turns = []
+    for mode in ALL_MODES:
+        runs = [fvslam_graph.run(recording, mode) for recording in (sequence, sequence.recalibrated(camera))]
+        yield ", ".join(f"{_ape(run):#.2g}" for run in runs)
+        turns += [fvslam_graph.evaluate(run).drift.r_rel for run in runs if mode == "vo"]
+    yield ", ".join(f"{turn:#.2g}" for turn in turns)
 
 
 def _named(k1: float, focal: float) -> str:
@@ -64,8 +101,7 @@ def _through(world: Sequence, k1: float, focal: float) -> Sequence:
     if k1:
         bent = replace(camera, distortion=Distortion.RADTAN, coefficients=(k1, 0, 0, 0))
         v, u = np.mgrid[: camera.height, : camera.width]
-        rays = bent.normalize(np.column_stack([u.ravel(), v.ravel()]).astype(float))
-        seen = camera.project(np.column_stack([rays, np.ones(len(rays))])).astype(np.float32)
+        seen = camera.project(bent.rays(np.column_stack([u.ravel(), v.ravel()]).astype(float))).astype(np.float32)
         where = seen.reshape(camera.height, camera.width, 2)
         images = [
             cv2.remap(image, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)

@@ -59,7 +59,6 @@ app.command(cls=_WithPlugins)(studies.study)
 app.command()(studies.table)
 app.command(cls=_WithPlugins)(recordings.info)
 app.command()(recordings.calibrate)
-app.command()(recordings.distortion)
 app.command()(demo.demo)
 app.add_typer(data.data_app, name="data")
 

@@ -27,7 +27,9 @@ Frames = Annotated[str | None, typer.Option(help="Part of the sequence, START:ST
 Stride = Annotated[int, typer.Option(help="Take every n-th frame.", min=1)]
 CameraHeight = Annotated[float | None, typer.Option(help="Metres from the camera to the ground.")]
 CameraPitch = Annotated[float | None, typer.Option(help="Radians that the camera looks below the horizon.")]
-CameraK1 = Annotated[float | None, typer.Option(help="Radial distortion left in the images; see `distortion`.")]
+Recalibration = Annotated[
+    Path | None, typer.Option(help="Calibration of the images once undistorted; see `calibrate`.", metavar="FILE")
+]
 ImageTopic = Annotated[str | None, typer.Option("--topic", help="Image topic of a ROS bag, if it holds several.")]
 Fov = Annotated[float | None, typer.Option(help="Degrees that images without calibration are wide.")]
 Telemetry = Annotated[

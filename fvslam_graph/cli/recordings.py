@@ -1,24 +1,31 @@
-"""What a recording tells about itself and its camera: info, calibrate, distortion."""
+"""What a recording tells about itself and its camera: info, calibrate."""
+
+from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Unpack
 
 import typer
 
 from fvslam_graph.cli.options import (
     CameraHeight,
-    CameraK1,
     CameraPitch,
     Format,
     Fov,
     Frames,
     ImageTopic,
+    Recalibration,
     SequencePath,
     Stride,
     Telemetry,
     TelemetryOffset,
 )
 from fvslam_graph.cli.terminal import show_facts
+
+if TYPE_CHECKING:
+    from fvslam_graph.sequences.board_calibration import BoardCalibration
+    from fvslam_graph.sequences.open import SequenceOptions
+    from fvslam_graph.vo.self_calibration import RecordingCalibration
 
 
 def info(
@@ -51,66 +58,80 @@ def info(
 
 
 def calibrate(
-    path: Annotated[Path, typer.Argument(help="Folder of images of a board, or a video of it.")],
-    square: Annotated[float, typer.Option(help="Side of the squares.", metavar="METRES")],
+    path: Annotated[str, typer.Argument(help="Recording, or folder of images or video of a board.")],
     checkerboard: Annotated[
         str | None, typer.Option(help="Inner corners of a checkerboard, as 9x6.", metavar="COLUMNSxROWS")
     ] = None,
     charuco: Annotated[
         str | None, typer.Option(help="Squares of a ChArUco board, as 7x5.", metavar="COLUMNSxROWS")
     ] = None,
+    square: Annotated[float | None, typer.Option(help="Side of the squares of a board.", metavar="METRES")] = None,
     marker: Annotated[
         float | None, typer.Option(help="Side of the markers of a ChArUco board.", metavar="METRES")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Calibration to write, with a picture beside it.")] = Path("camera.yaml"),
+    frames: Frames = None,
+    stride: Stride = 1,
+    topic: ImageTopic = None,
+    fov: Fov = None,
+    recalibration: Recalibration = None,
+    out: Annotated[Path, typer.Option(help="Calibration to write.")] = Path("camera.yaml"),
 ) -> None:
-    """Calibrate a camera by a board: focal lengths, principal point and distortion, with standard deviations.
+    """Calibrate a camera by a board, or by a recording that has a rough calibration: what this has left in the images.
 
-    For what is left without a board, see `distortion`.
+    Focal lengths, principal point and distortion, with standard deviations. By a recording, only what is certain is
+    corrected; `run --recalibration` takes it out. By a board, there is a picture of the residuals as well.
     """
     from fvslam_graph.core.errors import CameraError
-    from fvslam_graph.core.extras import require
     from fvslam_graph.core.files import writing
-    from fvslam_graph.evaluation.plots.calibration import plot_residuals
-    from fvslam_graph.sequences import boards
-    from fvslam_graph.sequences.board_calibration import calibrate as calibrated
+    from fvslam_graph.sequences.camera_file import parameters, write_camera
 
-    require("eval")  # for the picture
     if not out.name:
         raise CameraError(f"--out takes the name of a file, not '{out}'")
     picture = out.with_name(f"{out.stem}_residuals.png")
     with writing(out.parent):  # a name may be too long even to ask
         if existing := [file for file in (out, picture) if file.exists()]:
             raise CameraError(f"{existing[0]} exists and is not overwritten; give another name by --out")
-    if checkerboard is not None and charuco is None and marker is None:
+    calibration: RecordingCalibration | BoardCalibration
+    if (checkerboard, charuco, square, marker) == (None,) * 4:
+        calibration = _by_recording(
+            path, frames=frames, stride=stride, topic=topic, fov=fov, recalibration=recalibration
+        )
+    else:
+        calibration = _by_board(Path(path), checkerboard, charuco, square, marker, picture)
+    write_camera(out, calibration.camera, calibration.sigmas, calibration.origin)
+    for name, (value, sigma) in parameters(calibration.camera, calibration.sigmas).items():
+        typer.echo(f"{name} = {value:.5g} +- {sigma:.2g}")
+    typer.echo(f"by {calibration.origin}; {out}")
+
+
+def _by_recording(path: str, **options: Unpack[SequenceOptions]) -> RecordingCalibration:
+    from fvslam_graph.sequences.open import open_sequence
+    from fvslam_graph.vo.self_calibration import calibrate_by_tracks
+
+    return calibrate_by_tracks(open_sequence(path, **options))
+
+
+def _by_board(
+    path: Path,
+    checkerboard: str | None,
+    charuco: str | None,
+    square: float | None,
+    marker: float | None,
+    picture: Path,
+) -> BoardCalibration:
+    from fvslam_graph.core.errors import CameraError
+    from fvslam_graph.core.extras import require
+    from fvslam_graph.evaluation.plots.calibration import plot_residuals
+    from fvslam_graph.sequences import boards
+    from fvslam_graph.sequences.board_calibration import calibrate
+
+    require("eval")  # for the picture
+    if checkerboard is not None and square is not None and charuco is None and marker is None:
         board = boards.checkerboard(checkerboard, square)
-    elif charuco is not None and checkerboard is None and marker is not None:
+    elif charuco is not None and square is not None and checkerboard is None and marker is not None:
         board = boards.charuco(charuco, square, marker)
     else:
-        raise CameraError("give --checkerboard, or --charuco with --marker")
-    calibration = calibrated(path, *boards.find_board(path, board))
-    calibration.write(out)
+        raise CameraError("a board is --checkerboard with --square, or --charuco with --square and --marker")
+    calibration = calibrate(path, *boards.find_board(path, board))
     plot_residuals(calibration, picture)
-    for name, (value, sigma) in calibration.parameters().items():
-        typer.echo(f"{name} = {value:.5g} +- {sigma:.2g}")
-    typer.echo(f"{len(calibration.views)} views, {calibration.rms:.3f} pixels root mean square; {out}, {picture}")
-
-
-def distortion(
-    path: SequencePath,
-    frames: Frames = None,
-    stride: Stride = 1,
-    camera_k1: CameraK1 = None,
-    topic: ImageTopic = None,
-    fov: Fov = None,
-) -> None:
-    """Measure the radial distortion (k1) that the calibration has left in the images, by tracks of odometry.
-
-    It shows where the camera turns; `run --camera-k1` takes it out.
-    """
-    from fvslam_graph.sequences.open import open_sequence
-    from fvslam_graph.vo.distortion import measure_distortion
-
-    sequence = open_sequence(path, frames=frames, stride=stride, camera_k1=camera_k1, topic=topic, fov=fov)
-    k1, sigma = measure_distortion(sequence)
-    typer.echo(f"k1 = {k1:.4f} +- {sigma:.4f} (standard deviation)")
+    return calibration

@@ -12,7 +12,6 @@ import typer
 
 from fvslam_graph.cli.options import (
     CameraHeight,
-    CameraK1,
     CameraPitch,
     ConfigFile,
     Format,
@@ -21,6 +20,7 @@ from fvslam_graph.cli.options import (
     ImageTopic,
     ModeName,
     PresetName,
+    Recalibration,
     Rerun,
     Scale,
     Seed,
@@ -60,7 +60,7 @@ def run(
     image_scale: Annotated[float, typer.Option(help="Resize the images by this factor, at most 1.")] = 1.0,
     camera_height: CameraHeight = None,
     camera_pitch: CameraPitch = None,
-    camera_k1: CameraK1 = None,
+    recalibration: Recalibration = None,
     topic: ImageTopic = None,
     fov: Fov = None,
     telemetry: Telemetry = None,
@@ -90,7 +90,7 @@ def run(
         scale=image_scale,
         camera_height=camera_height,
         camera_pitch=camera_pitch,
-        camera_k1=camera_k1,
+        recalibration=recalibration,
         topic=topic,
         fov=fov,
         telemetry=telemetry,

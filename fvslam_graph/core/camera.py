@@ -104,6 +104,12 @@ class Camera:
         normalized = undistort(pixels[:, None], self.K, np.array(self.coefficients), criteria=_UNDISTORTION_CRITERIA)
         return np.asarray(normalized, float).reshape(-1, 2)
 
+    def rays(self, pixels: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Viewing rays (N, 3) of pixels (N, 2), with z = 1."""
+        rays = np.ones((len(pixels), 3))
+        rays[:, :2] = self.normalize(pixels)
+        return rays
+
     def contains(self, pixels: NDArray[np.float64], border: float = 0.0) -> NDArray[np.bool_]:
         """Which pixels (N, 2) lie in the image, `border` pixels off its rim; NaN does not."""
         low, high = border, (self.width - 1 - border, self.height - 1 - border)
@@ -122,6 +128,25 @@ class Camera:
             fy=self.fy * down,
             cx=(self.cx + 0.5) * across - 0.5,  # pixel centres, not corners, are at whole numbers
             cy=(self.cy + 0.5) * down - 0.5,
+        )
+
+    def corrected(self, correction: NDArray[np.float64]) -> Camera:
+        """The camera of images that were undistorted by a calibration that is wrong.
+
+        Args:
+            correction: (7,) what is to be added to the logarithm of its focal length, and what is left of OpenCV's k1
+                and k2, by how many focal lengths the principal point is off to the right and down, and p1 and p2.
+        """
+        log_focal, k1, k2, right, down, p1, p2 = map(float, correction)
+        stretch = math.exp(log_focal)
+        return replace(
+            self,
+            fx=self.fx * stretch,
+            fy=self.fy * stretch,
+            cx=self.cx + right * self.fx,
+            cy=self.cy + down * self.fy,
+            distortion=Distortion.RADTAN,
+            coefficients=(k1, k2, p1, p2),
         )
 
     def undistorted(self) -> Camera:
@@ -167,25 +192,16 @@ class Rectifier:
 
 
 class Recalibration:
-    """A correction of the calibration that images have been rectified with: they are rectified again.
+    """Images that were undistorted by a calibration which is wrong are rectified again.
 
     Args:
         camera: Undistorted, as it was taken to be; the images are those of such a camera afterwards.
-        log_focal: What is to be added to the logarithm of its focal length.
-        k1: Radial distortion that is left in the images, as OpenCV's.
+        true: The camera that they really are of, of the same size.
     """
 
-    def __init__(self, camera: Camera, log_focal: float, k1: float) -> None:
-        stretch = math.exp(log_focal)
-        self._camera = camera
-        self._true = replace(
-            camera,
-            fx=camera.fx * stretch,
-            fy=camera.fy * stretch,
-            distortion=Distortion.RADTAN,
-            coefficients=(k1, 0.0, 0.0, 0.0),
-        )
-        self._rectifier = Rectifier(self._true, camera)
+    def __init__(self, camera: Camera, true: Camera) -> None:
+        self._camera, self._true = camera, true
+        self._rectifier = Rectifier(true, camera)
 
     def __call__(self, image: Image) -> Image:
         """The image rectified again."""
@@ -193,9 +209,8 @@ class Recalibration:
 
     def corrected(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where pixels (N, 2) of the image are after that."""
-        camera = self._camera
-        return np.asarray(self._true.normalize(pixels) * (camera.fx, camera.fy) + (camera.cx, camera.cy))
+        return self._camera.project(self._true.rays(pixels))
 
     def filed(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where pixels (N, 2) of the corrected image are in the image as it was."""
-        return self._true.project(np.column_stack([self._camera.normalize(pixels), np.ones(len(pixels))]))
+        return self._true.project(self._camera.rays(pixels))

@@ -13,14 +13,14 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.core.camera import Camera, Distortion, Image, Rectifier
+from fvslam_graph.core.camera import Camera, Image, Recalibration
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sensors import Fix, SensorSeries
 from fvslam_graph.core.trajectory import Trajectory
 
 FIRST_FIX = 1e-3  # seconds before the first frame at which a fix is still of it
 QUATERNION_ERROR = 0.01  # of the length of a quaternion as it is written
-MAX_RESIDUAL_K1 = 0.3  # k1; more is no rest that a calibration has left
+MAX_RECALIBRATION = 0.1  # of the width that pixels are moved; more is no rest that a calibration has left
 
 
 @dataclass(frozen=True)
@@ -220,24 +220,29 @@ class Sequence:
 
         return replace(self, camera=camera, load=resized, source=None)
 
-    def undistorted(self, k1: float) -> Sequence:
-        """The same recording with a radial distortion taken out of its images: k1 of OpenCV's model.
+    def recalibrated(self, camera: Camera) -> Sequence:
+        """The same recording where its images, as its calibration undistorts them, are really of another camera.
 
         Raises:
-            SequenceError: It is no small distortion.
+            SequenceError: It is of images of another size, or differs by so much that it is no rest of a calibration.
         """
-        if not abs(k1) <= MAX_RESIDUAL_K1:
+        width, height = size = self.camera.width, self.camera.height
+        if (camera.width, camera.height) != size:
             raise SequenceError(
-                f"the distortion k1 must be between -{MAX_RESIDUAL_K1} and {MAX_RESIDUAL_K1}, not {k1:g}"
+                f"the calibration is of {camera.width}x{camera.height} images, but {self.name} has {width}x{height}"
             )
-        load, size = self.load, (self.camera.height, self.camera.width)
-        rectifier = Rectifier(
-            replace(self.camera, distortion=Distortion.RADTAN, coefficients=(k1, 0, 0, 0)), self.camera
-        )
+        rim = np.array([(x, y) for x in (0, width / 2, width - 1) for y in (0, height / 2, height - 1)])
+        moved = np.linalg.norm(self.camera.project(camera.rays(rim)) - rim, axis=1).max()
+        if not moved <= MAX_RECALIBRATION * width:
+            raise SequenceError(
+                f"the calibration moves pixels of {self.name} by up to {moved:.0f}: it should be that of the images as "
+                "they are once undistorted, and not of the images as they are in their files"
+            )
+        load, recalibration = self.load, Recalibration(self.camera, camera)
 
-        def straight(index: int) -> Image | None:
+        def rectified(index: int) -> Image | None:
             image = load(index)
-            return None if image is None or image.shape != size else rectifier(image)
+            return None if image is None or image.shape != (height, width) else recalibration(image)
 
-        note = f"a radial distortion of k1 = {k1:g} is taken out of the images"
-        return replace(self, load=straight, notes=(*self.notes, note), source=None)
+        note = f"pixels are moved by up to {moved:.1f}, by another calibration"
+        return replace(self, load=rectified, notes=(*self.notes, note), source=None)

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera, Distortion
 from fvslam_graph.core.errors import CameraError
-from fvslam_graph.core.files import writing
 from fvslam_graph.sequences.boards import BoardView
+from fvslam_graph.sequences.camera_file import PARAMETERS
 from fvslam_graph.sequences.plausibility import make_camera
 
-PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 MIN_VIEWS, MAX_VIEWS = 8, 40
 MIN_DIFFERENCE = 0.03  # of the image's width that some corner of the board is elsewhere in another view
 MAX_FOCAL_SIGMA = 0.01  # of the focal length; more says that the board was hardly tilted
@@ -43,31 +42,10 @@ class BoardCalibration:
         """Root mean square of the residuals, pixels."""
         return float(np.sqrt(np.mean(np.concatenate(self.residuals) ** 2) * 2))
 
-    def parameters(self) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation of each of PARAMETERS."""
-        camera = self.camera
-        values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients)
-        return {name: (value, float(s)) for name, value, s in zip(PARAMETERS, values, self.sigmas, strict=True)}
-
-    def write(self, path: Path) -> None:
-        """Write `camera.yaml`.
-
-        Raises:
-            ResultsError: The file exists or cannot be written.
-        """
-        camera = self.camera
-        matrix = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
-        sigmas = ", ".join(f"{name}: {sigma:.4g}" for name, (_, sigma) in self.parameters().items())
-        text = (
-            f"# By {len(self.views)} views of a board, {self.rms:.3f} pixels root mean square.\n"
-            f"image_width: {camera.width}\nimage_height: {camera.height}\n"
-            f"camera_matrix: [{', '.join(f'{value:.4f}' for value in matrix)}]\n"
-            f"distortion_model: radtan\n"
-            f"distortion_coefficients: [{', '.join(f'{value:.6f}' for value in camera.coefficients)}]\n"
-            f"standard_deviations: {{{sigmas}}}\n"
-        )
-        with writing(path.parent), path.open("x") as file:
-            file.write(text)
+    @property
+    def origin(self) -> str:
+        """What it is by."""
+        return f"{len(self.views)} views of a board, {self.rms:.3f} pixels root mean square"
 
 
 def calibrate(path: Path, views: list[BoardView], size: tuple[int, int]) -> BoardCalibration:

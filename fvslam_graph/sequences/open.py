@@ -15,6 +15,7 @@ from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.plugins import Kind, find, names
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.sequences import bag, euroc, folder, karlsruhe, kitti_odometry, kitti_raw, tum_rgbd, video
+from fvslam_graph.sequences.calibration import read_calibration
 from fvslam_graph.sequences.ground import override_ground
 from fvslam_graph.sequences.plausibility import doubts
 from fvslam_graph.sequences.ros.reader import Topic
@@ -49,7 +50,7 @@ class SequenceOptions(TypedDict, total=False):
         scale: Resize the images by this factor, 0 < scale <= 1.
         camera_height: Metres from the camera to the ground, where the format does not know or is wrong.
         camera_pitch: Radians by which the camera looks below the horizon; 0 is straight ahead, pi/2 straight down.
-        camera_k1: Radial distortion that the calibration has left in the images, as `fvslam distortion` measures it.
+        recalibration: Calibration file of the images as they are once undistorted, as `fvslam calibrate` writes it.
         fov: Degrees that the images of a video are wide, where it has no calibration, or instead of it.
         telemetry: What a drone recorded, `.srt` or `.csv`; beside a video, a file of the same name is found.
         telemetry_offset: Seconds to add to its times to have those since the first frame; estimated if not given.
@@ -62,7 +63,7 @@ class SequenceOptions(TypedDict, total=False):
     scale: float
     camera_height: float | None
     camera_pitch: float | None
-    camera_k1: float | None
+    recalibration: str | Path | None
     fov: float | None
     telemetry: str | Path | None
     telemetry_offset: float | None
@@ -82,7 +83,7 @@ def open_sequence(path: str | Path, **options: Unpack[SequenceOptions]) -> Seque
     """
     if unknown := set(options) - set(SequenceOptions.__annotations__):
         raise TypeError(f"a sequence is opened without {', '.join(sorted(unknown))}")
-    scale, fov, k1 = options.get("scale", 1.0), options.get("fov"), options.get("camera_k1")
+    scale, fov, recalibration = options.get("scale", 1.0), options.get("fov"), options.get("recalibration")
     if not 0 < scale <= 1:
         raise SequenceError(f"the scale must be in (0, 1], not {scale:g}")
     start, stop = _slice(options.get("frames") or ":")
@@ -95,11 +96,11 @@ def open_sequence(path: str | Path, **options: Unpack[SequenceOptions]) -> Seque
     sequence = _with_telemetry(sequence, path, options.get("telemetry"), options.get("telemetry_offset"))
     sequence = override_ground(sequence, options.get("camera_height"), options.get("camera_pitch"))
     sequence = sequence.select(start, stop, options.get("stride", 1))
-    if k1 is not None:
-        sequence = sequence.undistorted(k1)
+    if recalibration is not None:
+        sequence = sequence.recalibrated(read_calibration(Path(recalibration).expanduser()).camera)
     if scale != 1:
         sequence = sequence.scaled(scale)
-    places = {"path": path, "telemetry": options.get("telemetry")}
+    places = {"path": path, "telemetry": options.get("telemetry"), "recalibration": recalibration}
     source = {**options, **{name: _absolute(place) for name, place in places.items() if place is not None}}
     return replace(sequence, source=source)
 

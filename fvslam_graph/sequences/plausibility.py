@@ -173,5 +173,5 @@ def distorts_oddly(camera: Camera) -> bool:
         return True
     right, bottom = camera.width - 1, camera.height - 1
     pixels = np.array([[0, camera.cy], [right, camera.cy], [camera.cx, 0], [camera.cx, bottom]])
-    back = camera.project(np.column_stack([camera.normalize(pixels), np.ones(4)]))
+    back = camera.project(camera.rays(pixels))
     return not np.abs(back - pixels).max() < FOLDED

@@ -116,7 +116,7 @@ class PointScene:
     def beside(self, frame: int, ids: NDArray[np.int64], pixels: Array) -> Array:
         """(N, 3) world, metres: what is seen in a frame at pixels (N, 2), each at the depth of a landmark near it."""
         depths = self.in_camera(frame)[ids, 2]
-        rays = np.column_stack([self.camera.normalize(pixels), np.ones(len(pixels))])
+        rays = self.camera.rays(pixels)
         world_T_camera = self.trajectory.matrices[frame]
         points: Array = (depths[:, None] * rays) @ world_T_camera[:3, :3].T + world_T_camera[:3, 3]
         return points
@@ -183,7 +183,7 @@ def simulate(
     rng = stream(seed, "landmarks")
     frames = rng.integers(0, len(trajectory), landmarks)
     pixels = rng.uniform(0, (camera.width - 1, camera.height - 1), (landmarks, 2))
-    rays = np.column_stack([camera.normalize(pixels), np.ones(landmarks)])
+    rays = camera.rays(pixels)
     poses = trajectory.matrices[frames]
     directions = np.einsum("nij,nj->ni", poses[:, :3, :3], rays)
     points = poses[:, :3, 3] + surface(poses[:, :3, 3], directions, rng)[:, None] * directions

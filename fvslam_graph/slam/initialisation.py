@@ -87,7 +87,7 @@ def with_new_landmarks(
         camera: Undistorted.
         sigma: Of the pixels along each axis.
     """
-    rays = np.column_stack([camera.normalize(pixels), np.ones(len(pixels))])
+    rays = camera.rays(pixels)
     pointing, J_ray = angles(rays)
     J_pixel = J_ray[:, :, :2] / (camera.fx, camera.fy)
     # Only the inverse distances depend on what is in the state. The anchor comes first, and is certain.

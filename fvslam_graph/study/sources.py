@@ -35,7 +35,7 @@ class Source(BaseModel):
     scale: float = Field(1.0, gt=0, le=1)
     camera_height: PositiveFloat | None = None
     camera_pitch: float | None = None
-    camera_k1: float | None = None
+    recalibration: str | None = None
     format: str | None = None
     topic: str | None = None
     fov: float | None = None
@@ -78,15 +78,20 @@ class Source(BaseModel):
             return str(folder.absolute() / Path(path).expanduser())
 
         return self.model_copy(
-            update={"path": absolute(self.path), "telemetry": self.telemetry and absolute(self.telemetry)}
+            update={
+                "path": absolute(self.path),
+                "telemetry": self.telemetry and absolute(self.telemetry),
+                "recalibration": self.recalibration and absolute(self.recalibration),
+            }
         )
 
     def content(self) -> Iterator[bytes]:
         """What tells its files from others: size and time of each."""
-        path = Path(self.path).expanduser()
-        for file in sorted(_files(path)):
-            stat = file.stat()
-            yield f"{file.relative_to(path)} {stat.st_size} {stat.st_mtime_ns}\n".encode()
+        for place in filter(None, (self.path, self.telemetry, self.recalibration)):
+            path = Path(place).expanduser()
+            for file in sorted(_files(path)):
+                stat = file.stat()
+                yield f"{file.relative_to(path)} {stat.st_size} {stat.st_mtime_ns}\n".encode()
 
 
 class HeldSequence(Source):

@@ -16,7 +16,6 @@ from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.ransac import absolute_pose
 from fvslam_graph.vo.depth import scale_ratio
-from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
 from fvslam_graph.vo.relative_pose import (
     CONVERGED_STEP,
@@ -162,7 +161,7 @@ def with_known_depths(
     if ratio is None:
         return None
     start = gtsam.Pose3(relative_pose.rotation, ratio.metres * relative_pose.direction)
-    refined = refine_absolute_pose(start, rays(camera, tracks.keyframe), tracks, known.of(tracks.ids), camera)
+    refined = refine_absolute_pose(start, camera.rays(tracks.keyframe), tracks, known.of(tracks.ids), camera)
     if refined is None or refined.agree.mean() < MIN_SHARE:
         return None
     metres = refined.pose.mean.translation()

@@ -14,13 +14,6 @@ from fvslam_graph.core.tracks import Tracks, variances_along
 Rays = NDArray[np.float64]
 
 
-def rays(camera: Camera, pixels: NDArray[np.float64]) -> Rays:
-    """Viewing rays (N, 3) of pixels (N, 2), with z = 1."""
-    towards = np.ones((len(pixels), 3))
-    towards[:, :2] = camera.normalize(pixels)
-    return towards
-
-
 @dataclass(frozen=True)
 class MatchedRays:
     """N points seen in two views.
@@ -39,7 +32,7 @@ class MatchedRays:
     @classmethod
     def of(cls, camera: Camera, tracks: Tracks) -> MatchedRays:
         """The rays of tracks."""
-        return cls(rays(camera, tracks.keyframe), rays(camera, tracks.current), camera.fx, tracks.covariances)
+        return cls(camera.rays(tracks.keyframe), camera.rays(tracks.current), camera.fx, tracks.covariances)
 
 
 def epipolar_distance(

@@ -19,7 +19,7 @@ from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.quick import median
 from fvslam_graph.vo.depth import triangulate
-from fvslam_graph.vo.epipolar import MatchedRays, epipolar_distance, rays
+from fvslam_graph.vo.epipolar import MatchedRays, epipolar_distance
 from fvslam_graph.vo.relative_pose import TwoViews
 
 _PATCH_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
@@ -71,7 +71,7 @@ class GroundAligner:
         self.normal_sigma = normal_sigma
         self.settings = settings
         self._grid = self._ground_pixels()
-        self._rays = rays(camera, self._grid.astype(float))
+        self._rays = camera.rays(self._grid.astype(float))
         self._next = 0  # of the ratios, where what is expected leads nowhere
 
     def towards(self, normal: NDArray[np.float64], normal_sigma: float) -> GroundAligner:
@@ -141,7 +141,7 @@ class GroundAligner:
         margin = max(_PATCH_WINDOW)
         columns, rows = np.meshgrid(np.arange(margin, camera.width - margin), np.arange(margin, camera.height - margin))
         dense = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float32)
-        seen = self._sees_ground(rays(camera, dense.astype(float)))
+        seen = self._sees_ground(camera.rays(dense.astype(float)))
         step = max(1, round(np.sqrt(seen.sum() / self.settings.patches)))
         grid: NDArray[np.float32] = dense[seen & (dense[:, 0] % step == 0) & (dense[:, 1] % step == 0)]
         return grid
@@ -171,7 +171,7 @@ class GroundAligner:
         found, good = _lucas_kanade(previous[top:], warped, start, start, 1)
         good &= np.linalg.norm(found - start, axis=1) < _SEARCH
         in_current = np.column_stack([found[good] + offset, np.ones(good.sum())]) @ homography.T
-        ray, ray_current = self._rays[good], rays(camera, in_current[:, :2] / in_current[:, 2:])
+        ray, ray_current = self._rays[good], camera.rays(in_current[:, :2] / in_current[:, 2:])
         epipolar, _ = epipolar_distance(MatchedRays(ray, ray_current, camera.fx), rotation, direction)
         kept = np.abs(epipolar) < 2**0.5
         if kept.sum() < self.settings.min_patches:

@@ -21,7 +21,7 @@ from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose, with_known_depths
 from fvslam_graph.vo.deformation import undeformed
 from fvslam_graph.vo.depth import triangulate
-from fvslam_graph.vo.epipolar import MatchedRays, rays
+from fvslam_graph.vo.epipolar import MatchedRays
 from fvslam_graph.vo.keyframe_motion import KeyframeMotion, relative_variance, turning
 from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
 from fvslam_graph.vo.motion_model import ConstantVelocity
@@ -101,7 +101,7 @@ class MotionMeasurement:
         tracks = view.tracks
         with view.stopwatch.stage("pose"):
             rotation, unexplained = fit_rotation(
-                rays(self._camera, tracks.keyframe), rays(self._camera, tracks.current), self._camera.fx
+                self._camera.rays(tracks.keyframe), self._camera.rays(tracks.current), self._camera.fx
             )
             parallax = median(unexplained)
         motion = self._by_parallax(view, rotation, parallax)
@@ -113,7 +113,7 @@ class MotionMeasurement:
         if (located := self._locate(view)) is None:
             return None
         with view.stopwatch.stage("pose"):
-            seen = rays(self._camera, tracks.keyframe)
+            seen = self._camera.rays(tracks.keyframe)
             depths = known.depths.of(tracks.ids)
             matched = MatchedRays.of(self._camera, tracks)
             tracks = undeformed(tracks, matched, located.rotation(), located.translation(), depths)
@@ -173,7 +173,7 @@ class MotionMeasurement:
             fallback = self._motion_model.distance(view.frame.stamp - keyframe.frame.stamp)
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = _guess(unit, view.distance)
-            views = TwoViews(keyframe.frame, view.frame, relative_pose, rays(self._camera, tracks.keyframe), unit)
+            views = TwoViews(keyframe.frame, view.frame, relative_pose, self._camera.rays(tracks.keyframe), unit)
             scale, known = self._scale.estimate(views, keyframe.map, fallback, self._rng)
         J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
         pose = metric_pose(relative_pose, scale.length)
@@ -193,7 +193,7 @@ class MotionMeasurement:
         mine, theirs = known.depths.match(view.tracks.ids)
         used = view.used[theirs]
         depths, seen = known.depths[mine[used]], view.tracks[theirs[used]]
-        points = rays(self._camera, seen.keyframe) / depths.values[:, None]
+        points = self._camera.rays(seen.keyframe) / depths.values[:, None]
         with view.stopwatch.stage("pose"):
             return estimate_absolute_pose(points, seen.current, self._camera, self._settings, self._seed())
 

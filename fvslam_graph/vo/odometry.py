@@ -28,7 +28,6 @@ from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
 from fvslam_graph.vo.depth import typical_depth
-from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground_plane import GroundAligner
 from fvslam_graph.vo.keyframe_motion import KeyframeMotion, standing
 from fvslam_graph.vo.lost_keyframes import LostKeyframe, LostKeyframes
@@ -200,7 +199,7 @@ class VisualOdometry:
         limit = self.settings.static_rotation * self.camera.fx
         if median(np.linalg.norm(current - last, axis=1)) > limit:
             return None
-        rotation, unexplained = fit_rotation(rays(self.camera, last), rays(self.camera, current), self.camera.fx)
+        rotation, unexplained = fit_rotation(self.camera.rays(last), self.camera.rays(current), self.camera.fx)
         return rotation if median(unexplained) < self.settings.static_parallax else None
 
     def _static(self, tracks: Tracks, shaken: gtsam.Rot3) -> KeyframeMotion:
@@ -229,7 +228,7 @@ class VisualOdometry:
             self._scale_known = self._keeps_scale(self._keyframe.map, motion.scale)
         estimate = self._estimate(frame, motion.keyframe_T_cur, Status.TRACKED)
         mine, theirs = motion.map.depths.match(motion.tracks.ids)
-        seen = rays(self.camera, motion.tracks.keyframe[theirs])
+        seen = self.camera.rays(motion.tracks.keyframe[theirs])
         depths = motion.map.depths[mine].seen_from(seen, motion.keyframe_T_cur.mean, motion.errors)
         here = MetricMap(depths, motion.map.variance)
         return replace(
@@ -325,7 +324,7 @@ class VisualOdometry:
 
     def _typical_depth(self, keyframe: Keyframe) -> float:
         """Metres to what is seen."""
-        seen = rays(self.camera, self._seen.current)
+        seen = self.camera.rays(self._seen.current)
         return typical_depth(keyframe.map.depths, seen, self._down, keyframe.frame.height)
 
     def _estimate(self, frame: Frame, keyframe_T_cur: GaussianPose, status: Status) -> VoEstimate:

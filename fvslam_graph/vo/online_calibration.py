@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera, Recalibration
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.vo_estimate import CalibrationEvidence
+from fvslam_graph.vo.calibration_pairs import NUMBERS, CalibrationPairs
 
 Array = NDArray[np.float64]
 
-# Of the logarithm of the focal length and of k1, as files err; and of k2, principal point, p1 and p2, which are not
-# estimated, but pass for these: in a turn, a principal point that is off looks like a wrong focal length.
-PRIOR_SIGMAS = np.array([0.01, 0.05])
-OTHER_SIGMAS = np.array([0.05, 0.01, 0.01, 0.005, 0.005])
+CORRECTED = 2  # of the numbers, the first: the logarithm of the focal length, and k1
 MIN_PAIRS = 5
-CERTAIN = 5.0  # standard deviations from what the file says
+GROWTH = 1.25  # of the number of pairs, until they are looked at again; where they have corrected something already,
+GROWTH_CORRECTED = 2.0  # as each correction begins a new map
 GROSS = 3.0  # log likelihood that a pair of images gains in the mean
 
 _log = logging.getLogger(__name__)
@@ -42,10 +41,10 @@ class CalibrationCorrection:
 
 
 class OnlineCalibration:
-    """Sums up what pairs of images say of the calibration, and rectifies images again where it is wrong.
+    """Rectifies images again where pairs of them show that their calibration is wrong.
 
-    A pair's residuals also hold what neighbouring tracks share, which passes for a small error of the calibration. So
-    the file is believed until its error is certain, and so large that it shows in single pairs.
+    A new calibration bends the path where it comes in. So the file is believed until its error is certain, and so large
+    that it shows in single pairs.
 
     Args:
         camera: As its file has it, undistorted.
@@ -53,13 +52,11 @@ class OnlineCalibration:
     """
 
     def __init__(self, camera: Camera, enabled: bool = True) -> None:
-        self.applied = np.zeros(2)  # what is added to the file's
+        self.applied = np.zeros(CORRECTED)  # what is added to the file's
         self._camera, self._enabled = camera, enabled
         self._before: Recalibration | None = None
         self._now: Recalibration | None = None
-        self._pairs, self._next = _Pairs(), MIN_PAIRS
-        self._estimated = np.zeros(2, bool)  # what was certain once
-        self._known = CalibrationEvidence(np.zeros((2, 2)), np.zeros(2))  # what had a part in the last correction
+        self._pairs, self._next = CalibrationPairs(), MIN_PAIRS
 
     def rectified(self, frame: Frame) -> Frame:
         """A frame as its file has it, by the calibration as it is known now."""
@@ -80,22 +77,23 @@ class OnlineCalibration:
         """Take in a pair of images, if there is one; the correction that follows, or None where all stays as it is."""
         if evidence is None or not self._enabled:
             return None
-        self._pairs.add(evidence.information, evidence.gradient + evidence.information[:, :2] @ self.applied)
+        about_file = evidence.gradient + evidence.information[:, :CORRECTED] @ self.applied
+        self._pairs.add(CalibrationEvidence(evidence.information, about_file))
         if self._pairs.count < self._next:
             return None
-        correction = self._pairs.correction(self._known, self._estimated)
+        self._next = math.ceil((GROWTH if self._now is None else GROWTH_CORRECTED) * self._pairs.count)
+        errors = self._pairs.estimate()
+        free = (np.arange(NUMBERS) < CORRECTED) & errors.certain
+        free[:CORRECTED] |= self.applied != 0
+        mean = errors.likeliest(free)
+        if self._now is None and self._pairs.gain(mean) < GROSS:
+            return None
+        correction = CalibrationCorrection(mean[:CORRECTED], errors.sigmas[:CORRECTED], self._pairs.news(CORRECTED))
         if self._now is None:
-            gain = 0.5 * correction.mean @ self._pairs.information @ correction.mean / self._pairs.count
-            if gain < GROSS:
-                return None
             self._warn(correction)
-            self._pairs = _Pairs()  # these were linearised where the calibration was wrong
-        else:
-            self._known = CalibrationEvidence(self._pairs.information.copy(), self._pairs.score.copy())
-            self._next = 2 * self._pairs.count
+            self._pairs, self._next = CalibrationPairs(), MIN_PAIRS  # these were linearised where it was wrong
         self.applied = correction.mean
-        self._estimated |= correction.mean != 0
-        self._before, self._now = self._now, Recalibration(self._camera, *correction.mean)
+        self._before, self._now = self._now, Recalibration(self._camera, self._camera.corrected(mean))
         return correction
 
     def _warn(self, correction: CalibrationCorrection) -> None:
@@ -105,62 +103,3 @@ class OnlineCalibration:
             "%.1f pixels and k1 = %.4f +- %.4f; calibrate the camera",
             *(focal, k1, correction.sigmas[1]),
         )
-
-
-class _Pairs:
-    """Sums over pairs of images: what they say of the calibration of the file, and how they differ."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._all, self._all_score = np.zeros((7, 7)), np.zeros(7)  # information, and gradient of the likelihood
-        # Second moments of both, of the two numbers that are estimated.
-        self._scores, self._mixed, self._informations = np.zeros((2, 2)), np.zeros((2, 2, 2)), np.zeros((2, 2, 2, 2))
-
-    @property
-    def information(self) -> Array:
-        """(2, 2) of the two numbers that are estimated, if all others are right."""
-        return self._all[:2, :2]
-
-    @property
-    def score(self) -> Array:
-        """(2,) gradient of the log likelihood, of these."""
-        return self._all_score[:2]
-
-    def add(self, information: Array, score: Array) -> None:
-        """Take in a pair: (7, 7) and (7,)."""
-        self.count += 1
-        self._all += information
-        self._all_score += score
-        information, score = information[:2, :2], score[:2]
-        self._scores += np.outer(score, score)
-        self._mixed += np.multiply.outer(information, score)
-        self._informations += np.multiply.outer(information, information)
-
-    def correction(self, known: CalibrationEvidence, estimated: NDArray[np.bool_]) -> CalibrationCorrection:
-        """The most likely one; pairs differ by more than their residuals say, and all count for less.
-
-        Args:
-            known: What had a part in an earlier one.
-            estimated: (2,) what is corrected in any case; else only what is certain, whatever the other numbers are.
-        """
-        dispersion = self._dispersion(self._likeliest(np.ones(2, bool)))
-        whole = np.linalg.inv(self._all + np.diag(np.append(PRIOR_SIGMAS, OTHER_SIGMAS) ** -2))
-        sigmas = np.sqrt(dispersion * whole.diagonal()[:2])
-        certain = np.abs((whole @ self._all_score)[:2]) > CERTAIN * sigmas
-        news = CalibrationEvidence(
-            (self.information - known.information) / dispersion, (self.score - known.gradient) / dispersion
-        )
-        return CalibrationCorrection(self._likeliest(estimated | certain), sigmas, news)
-
-    def _likeliest(self, free: NDArray[np.bool_]) -> Array:
-        """Correction (2,) where only some of both numbers are free."""
-        mean, among = np.zeros(2), np.ix_(free, free)
-        mean[free] = np.linalg.solve((self.information + np.diag(PRIOR_SIGMAS**-2))[among], self.score[free])
-        return mean
-
-    def _dispersion(self, mean: Array) -> float:
-        """Factor of variances by which pairs differ from a correction, where they differ by more than residuals say."""
-        mixed = np.einsum("ijk,j->ik", self._mixed, mean)
-        spread = self._scores - mixed - mixed.T + np.einsum("ijkl,j,l->ik", self._informations, mean, mean)
-        inverse = np.linalg.inv(self.information + np.diag(PRIOR_SIGMAS**-2))
-        return max(float(np.trace(spread @ inverse)) / 2 * self.count / (self.count - 1), 1.0)

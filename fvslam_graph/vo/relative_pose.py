@@ -31,7 +31,7 @@ WIDTHS = (8, 3, 1, 1, 1, 1, 1, 1)  # limits within which tracks agree, by iterat
 FOUND = 2  # the first of these for what was found by all tracks
 CONVERGED_STEP = 0.1  # deviations of the motion that a step goes
 # Of a step with weights: where errors are normal, the loss bends by three quarters of what its weights say, so that
-# such steps alone would leave a quarter of the way each time.
+# such steps alone would leave a quarter of the way each time, and they would tell a third too much.
 RELAXED = 4 / 3
 SAME = 1e-3  # rad between rotations, and ten times that between directions, of one and the same solution
 CLEARLY = 4.0  # deviations beyond which a match does not count
@@ -243,7 +243,7 @@ class _Fit:
         weight = 1 / (1 + (distance / (KERNEL * self.noise)) ** 2)
         pull = jacobian.T @ (weight[:, None] * columns)
         J_calibration = -np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian)) @ pull
-        information = columns.T @ (weight[:, None] * columns) + pull.T @ J_calibration
+        information = (columns.T @ (weight[:, None] * columns) + pull.T @ J_calibration) / RELAXED
         gradient = -columns.T @ (weight * distance)
         evidence = CalibrationEvidence(information / self.noise**2, gradient / self.noise**2)
         return np.asarray(J_calibration[:, :2], float), evidence

@@ -102,7 +102,7 @@ SUBJECTS = {
     "ros1": layout(10, "ros1", "/flight.bag", r".*\.bag")._replace(facts=None),
     "mcap": layout(10, "mcap", "/flight", r".*\.(mcap|yaml)")._replace(facts=None),
     "sqlite": layout(10, "sqlite", "/flight", r".*\.(db3|yaml)")._replace(facts=None),
-    "distortion": Subject(5, "folder", ("distortion {at}",), ".*", None),
+    "self-calibration": Subject(5, "folder", ("calibrate {at} --out {out}",), ".*", None),
     "tum-tum": pair("estimate.tum", "reference.tum"),
     "kitti-tum": pair("estimate.kitti", "reference.tum"),
     "tum-asl": pair("estimate.tum", "reference.csv"),
@@ -332,14 +332,14 @@ ODD = (
 )
 OPTIONS = {
     "run {root}/folder --out {out}": (
-        "mode preset config set seed frames stride image-scale camera-height camera-pitch camera-k1 topic "
+        "mode preset config set seed frames stride image-scale camera-height camera-pitch recalibration topic "
         "fov telemetry telemetry-offset start-pose ground-plane altimeter gnss gnss-sigma"
     ),
     "live {root}/folder --patience 0.01 --out {out}": (
         "camera fov format mode preset config set seed camera-height camera-pitch"
     ),
     "info {root}/folder": "camera-height camera-pitch topic fov telemetry telemetry-offset",
-    "distortion {root}/folder": "frames stride camera-k1",
+    "calibrate {root}/folder --out {out}": "frames stride topic fov recalibration",
     "calibrate {root}/folder/images --checkerboard 5x4 --square 0.1": "checkerboard square charuco marker out",
     "evaluate {root}/run/run": "reference align time-offset",
     "plot {root}/folder": "out align landmarks",
@@ -347,7 +347,7 @@ OPTIONS = {
     "compare {root}/absent --out {out}": "modes seeds preset set external align workers",
     "study {root}/study/study.yaml --out {out}": "workers scheduler",
 }
-COMMANDS = ("run", "info", "calibrate", "distortion", "evaluate", "plot", "export", "compare", "study")
+COMMANDS = ("run", "info", "calibrate", "evaluate", "plot", "export", "compare", "study")
 ARGUMENTS = [
     *(
         (command, f"--{option}", odd)

@@ -68,7 +68,7 @@ def test_a_checkerboard(photographs, tmp_path, fvslam):
     out = tmp_path / "camera.yaml"
     code, said, err = fvslam("calibrate", photographs, *BOARD, "--out", out)
     assert (code, err) == (0, "")
-    assert re.search(r"^14 views, 0\.0\d+ pixels root mean square", said, re.MULTILINE)  # measured 0.037
+    assert re.search(r"^by 14 views of a board, 0\.0\d+ pixels root mean square", said, re.MULTILINE)  # measured 0.037
     assert (tmp_path / "camera_residuals.png").stat().st_size > 10_000
     found = {
         line.split(" = ")[0]: [float(n) for n in line.split(" = ")[1].split(" +- ")] for line in said.splitlines()[:8]
@@ -148,7 +148,7 @@ def test_standard_deviations(tmp_path):
             for pose in poses(10)
         ]
         calibration = calibrate(tmp_path, list(seen(shaken, noise=rng.uniform(0.05, 0.3), seed=seed)), SIZE)
-        value, sigma = calibration.parameters()["fx"]
+        value, sigma = calibration.camera.fx, calibration.sigmas[0]
         errors.append((value - CAMERA.fx) / sigma)
     assert 0.5 < np.std(errors) < 1.6
 
@@ -191,5 +191,6 @@ def test_what_does_not_do(tmp_path, photographs, fvslam):
         charuco("9x6", SQUARE, SQUARE)
     out = ("--square", SQUARE, "--out", tmp_path / "camera.yaml")
     for board in ((), ("--charuco", "9x6"), ("--checkerboard", "9x6", "--charuco", "9x6")):
-        assert "give --checkerboard, or --charuco with --marker" in fvslam("calibrate", photographs, *board, *out).err
+        said = fvslam("calibrate", photographs, *board, *out).err
+        assert "a board is --checkerboard with --square, or --charuco with --square and --marker" in said
     assert not (tmp_path / "camera.yaml").exists()

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvslam_graph.core.camera import Distortion
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.sequences import images
+from fvslam_graph.sequences.camera_file import write_camera
 from fvslam_graph.sequences.open import FORMATS, open_sequence
 
 
@@ -51,17 +51,24 @@ def test_camera_height_and_pitch(plain_folder):
     np.testing.assert_allclose(tilted.heights, 0.5 * np.arange(3, 10))
 
 
-def test_a_distortion_that_is_left(plain_folder):
-    """A pixel of the undistorted image shows what the camera as built has where it projects that ray."""
+def test_what_a_calibration_has_left(plain_folder):
+    """A pixel of the undistorted image shows what the camera as it is has where it projects that ray."""
     plain = open_sequence(plain_folder)
-    opened = open_sequence(plain_folder, camera_k1=0.1)
-    assert opened.camera == plain.camera and "k1 = 0.1" in opened.notes[-1]
+    bent = plain.camera.corrected(np.array([0, 0.1, 0, 0, 0, 0, 0]))
+    write_camera(plain_folder / "rest.yaml", bent, np.zeros(8), "hand")
+    opened = open_sequence(plain_folder, recalibration=plain_folder / "rest.yaml")
+    assert opened.camera == plain.camera and "pixels are moved by up to 2.0, by another" in opened.notes[-1]
     columns = np.tile(3 * np.arange(plain.camera.width, dtype=np.uint8), (plain.camera.height, 1))
-    straight = replace(plain, load=lambda _: columns).undistorted(0.1).load(0)
-    bent = replace(plain.camera, distortion=Distortion.RADTAN, coefficients=(0.1, 0, 0, 0))
-    there = bent.project(np.array([[*plain.camera.normalize(np.array([[50.0, 40.0]]))[0], 1.0]]))[0]
+    straight = replace(plain, load=lambda _: columns).recalibrated(bent).load(0)
+    there = bent.project(plain.camera.rays(np.array([[50.0, 40.0]])))[0]
     assert there[0] > 50.3
     assert abs(straight[40, 50] - 3 * there[0]) <= 1  # grey levels
+    with pytest.raises(SequenceError, match="the calibration is of 32x24 images, but flight has 64x48"):
+        plain.recalibrated(bent.scaled(0.5))
+    with pytest.raises(
+        SequenceError, match="by up to 10: it should be that of the images as they are once undistorted"
+    ):
+        plain.recalibrated(replace(bent, coefficients=(1.0, 0, 0, 0)))
 
 
 def test_camera_height_where_the_format_knows_none(plain_folder):
@@ -84,8 +91,6 @@ def test_camera_height_where_the_format_knows_none(plain_folder):
         ({"camera_height": 0.0}, "the camera height must be a positive number of metres, not 0"),
         ({"camera_height": float("nan")}, "the camera height must be a positive number of metres, not nan"),
         ({"camera_pitch": 10.0}, "the camera pitch must be between -pi/2 and pi/2 radians, not 10"),
-        ({"camera_k1": 1.0}, "the distortion k1 must be between -0.3 and 0.3, not 1"),
-        ({"camera_k1": float("nan")}, "the distortion k1 must be between -0.3 and 0.3, not nan"),
         ({"format": "bag"}, "the format 'bag' is not one of kitti-odometry, kitti-raw"),
         ({"format": "euroc"}, r"flight is no recording of a known format; looked for mav0/cam0/ .*\(euroc\)$"),
     ],

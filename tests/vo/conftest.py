@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.choices import ScaleSource
-from fvslam_graph.core.config import load_config
+from fvslam_graph.core.config import VoSettings, load_config
 from fvslam_graph.core.sequence import Frame, Sequence
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.trajectory import Trajectory
-from fvslam_graph.core.vo_estimate import VoEstimate
+from fvslam_graph.core.vo_estimate import CalibrationEvidence, VoEstimate
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.simulation.points import simulate, within
 from fvslam_graph.simulation.synthetic import synthetic_sequence
 from fvslam_graph.vo.odometry import VisualOdometry
+from fvslam_graph.vo.relative_pose import estimate_relative_pose
 
 
 class Scene(NamedTuple):
@@ -59,7 +60,7 @@ def plane_scene(camera: Camera) -> Callable[[int], tuple[Scene, gtsam.Pose3, gts
     def make(seed: int) -> tuple[Scene, gtsam.Pose3, gtsam.Pose3]:
         rng = np.random.default_rng(seed)
         pixels = rng.uniform((8, 8), (camera.width - 9, camera.height - 9), (200, 2))
-        ray = np.column_stack([camera.normalize(pixels), np.ones(len(pixels))])
+        ray = camera.rays(pixels)
         normal = np.array([0.1, -0.3, 1.0]) / np.linalg.norm([0.1, -0.3, 1.0])
         points = ray / (ray @ normal)[:, None]
         motion = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.01, 0.03])), np.array([0.06, 0.02, 0.01]))
@@ -201,3 +202,22 @@ def recalibrated(camera: Camera, pixels: np.ndarray, focal: float, k1: float) ->
     seen = camera.normalize(pixels) * np.exp(-focal)
     seen = seen / (1 + k1 * (camera.normalize(pixels) ** 2).sum(axis=1, keepdims=True))
     return camera.project(np.column_stack([seen, np.ones(len(seen))]))
+
+
+@pytest.fixture(scope="session")
+def pair(camera: Camera, two_views: Callable[..., Scene]) -> Callable[[Camera, float, int], CalibrationEvidence]:
+    """Makes what two views of a camera that goes ahead and turns say of its calibration, seen through a true one."""
+
+    def make(true: Camera, noise: float, seed: int) -> CalibrationEvidence:
+        rng = np.random.default_rng(seed)
+        turn = gtsam.Rot3.Expmap(0.1 * rng.standard_normal(3))
+        tracks = two_views(gtsam.Pose3(turn, np.array([0.3, 0.1, 1.0])), seed=seed).tracks
+        seen = [
+            true.project(camera.rays(pixels)) + noise * rng.standard_normal(pixels.shape)
+            for pixels in (tracks.keyframe, tracks.current)
+        ]
+        relative_pose = estimate_relative_pose(Tracks.alike(tracks.ids, *seen), camera, VoSettings(), seed=0)
+        assert relative_pose is not None and relative_pose.evidence is not None
+        return relative_pose.evidence
+
+    return make

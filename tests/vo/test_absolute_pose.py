@@ -12,7 +12,7 @@ from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
 from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose, with_known_depths
 from fvslam_graph.vo.depth import triangulate
-from fvslam_graph.vo.epipolar import MatchedRays, rays
+from fvslam_graph.vo.epipolar import MatchedRays
 from fvslam_graph.vo.relative_pose import estimate_relative_pose
 from fvslam_graph.vo.reprojection import reprojection_errors
 
@@ -39,7 +39,7 @@ def hardly_known(depths: InverseDepths) -> InverseDepths:
 
 
 def refined(camera, scene, depths):
-    return refine_absolute_pose(NEAR, rays(camera, scene.tracks.keyframe), scene.tracks, depths, camera)
+    return refine_absolute_pose(NEAR, camera.rays(scene.tracks.keyframe), scene.tracks, depths, camera)
 
 
 def unit_depths(camera, scene, found) -> InverseDepths:
@@ -66,7 +66,7 @@ def test_exact_without_noise(camera, two_views):
 @pytest.mark.parametrize("sigma", [0.0, 0.02, np.inf])
 def test_jacobian_by_finite_differences(camera, two_views, sigma):
     scene = two_views(MOTION)
-    ray, depths = rays(camera, scene.tracks.keyframe), depths_of(scene, 0.0)
+    ray, depths = camera.rays(scene.tracks.keyframe), depths_of(scene, 0.0)
     depths = InverseDepths.independent(depths.ids, depths.values, sigma * depths.values)
 
     def values(change: np.ndarray) -> np.ndarray:
@@ -81,7 +81,7 @@ def test_jacobian_by_finite_differences(camera, two_views, sigma):
 def test_a_point_of_unknown_depth_tells_what_it_tells_in_two_views(camera, two_views):
     """The distance from its epipolar line, at any depth that is assumed; nothing along that."""
     scene = two_views(MOTION, noise=0.5)
-    ray, across = rays(camera, scene.tracks.keyframe), []
+    ray, across = camera.rays(scene.tracks.keyframe), []
     for factor in (0.5, 1.0, 3.0):
         values = factor / scene.points[:, 2]
         unknown = InverseDepths.independent(scene.tracks.ids, values, np.full(len(values), np.inf))
@@ -98,7 +98,7 @@ def test_errors_are_whitened(camera, two_views):
     roots = rng.standard_normal((len(scene.points), 2, 2))
     tracks = replace(scene.tracks, covariances=roots @ roots.mT + 0.1 * np.eye(2))
     root = np.linalg.cholesky(tracks.covariances)
-    ray, exact = rays(camera, tracks.keyframe), 1 / scene.points[:, 2]
+    ray, exact = camera.rays(tracks.keyframe), 1 / scene.points[:, 2]
     sigma, drawn = 0.1 * exact, []
     for _ in range(40):
         noise = (root @ rng.standard_normal((len(exact), 2, 1)))[:, :, 0]
@@ -129,7 +129,7 @@ def test_covariance_holds_the_errors_that_points_share(camera, two_views):
     for seed in range(100):
         scene = two_views(MOTION, noise=0.1, seed=seed)
         # All depths err with where the points are in the image, as they do by a wrong direction of travel.
-        ray = rays(camera, scene.tracks.keyframe)
+        ray = camera.rays(scene.tracks.keyframe)
         common = np.zeros((len(ray), COMMON_ERRORS))
         common[:, :3] = 0.02 * ray / scene.points[:, 2:]
         told = depths_of(scene, 0.001, seed, common)
@@ -184,7 +184,7 @@ def test_points_of_unknown_depth_help(camera, two_views):
     scene = two_views(MOTION, noise=0.1)
     few = np.arange(len(scene.points)) % 15 == 0
     depths = depths_of(scene, np.where(few, 0.01, np.inf))
-    alone = refine_absolute_pose(NEAR, rays(camera, scene.tracks.keyframe)[few], scene.tracks[few], depths[few], camera)
+    alone = refine_absolute_pose(NEAR, camera.rays(scene.tracks.keyframe)[few], scene.tracks[few], depths[few], camera)
     together = refined(camera, scene, depths)
     turn = [np.trace(found.pose.covariance[:3, :3]) for found in (alone, together)]
     assert turn[1] < 0.3 * turn[0]
@@ -220,7 +220,7 @@ def test_the_pose_changes_with_the_calibration_as_it_says(camera, two_views, col
     tracks = scene.tracks
     other = Tracks.alike(tracks.ids, *(recalibrated(camera, at, *change) for at in (tracks.keyframe, tracks.current)))
     before, after = (
-        refine_absolute_pose(NEAR, rays(camera, seen.keyframe), seen, depths, camera) for seen in (tracks, other)
+        refine_absolute_pose(NEAR, camera.rays(seen.keyframe), seen, depths, camera) for seen in (tracks, other)
     )
     moved = before.pose.mean.localCoordinates(after.pose.mean) / max(change)
     assert before.J_calibration[:, column] == pytest.approx(moved, rel=0.1, abs=0.03)

@@ -10,7 +10,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.vo.deformation import undeformed
-from fvslam_graph.vo.epipolar import MatchedRays, rays
+from fvslam_graph.vo.epipolar import MatchedRays
 
 CAMERA = Camera(width=640, height=480, fx=400, fy=400, cx=320, cy=240)
 MOTION = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.05, 0.1), np.array([0.3, -0.1, 0.8]))
@@ -20,7 +20,7 @@ DEPTHS = np.array([4.0, 7.0, 5.0, 30.0])
 
 def seen(pixels: np.ndarray) -> np.ndarray:
     """Where the current camera sees what the keyframe has at these pixels (N, 2), at its depths."""
-    points = rays(CAMERA, pixels) * DEPTHS[:, None]
+    points = CAMERA.rays(pixels) * DEPTHS[:, None]
     return CAMERA.project(np.array([MOTION.transformTo(point) for point in points]))
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from fvslam_graph.core.inverse_depths import COMMON_ERRORS, InverseDepths
 from fvslam_graph.vo.depth import PIXEL_NOISE, triangulate
-from fvslam_graph.vo.epipolar import MatchedRays, rays
+from fvslam_graph.vo.epipolar import MatchedRays
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.6, -0.2, 0.5]))
 
@@ -16,7 +16,7 @@ def from_scene(camera, scene, motion=MOTION, current=None, covariance=None) -> I
     current = tracks.current if current is None else current
     return triangulate(
         tracks.ids,
-        MatchedRays(rays(camera, tracks.keyframe), rays(camera, current), camera.fx),
+        MatchedRays(camera.rays(tracks.keyframe), camera.rays(current), camera.fx),
         motion.rotation(),
         motion.translation(),
         covariance=covariance,
@@ -145,7 +145,7 @@ def test_common():
 def test_moved_is_exact(camera, two_views):
     scene = two_views(MOTION)
     depths = InverseDepths.independent(scene.tracks.ids, 1 / scene.points[:, 2], np.full(len(scene.points), 0.01))
-    moved = depths.seen_from(rays(camera, scene.tracks.keyframe), MOTION)
+    moved = depths.seen_from(camera.rays(scene.tracks.keyframe), MOTION)
     in_new = MOTION.transformTo(scene.points.T).T
     assert np.array_equal(moved.ids, depths.ids)
     assert moved.values == pytest.approx(1 / in_new[:, 2], rel=1e-9)
@@ -153,7 +153,7 @@ def test_moved_is_exact(camera, two_views):
 
 def test_moved_sigmas_by_finite_differences(camera, two_views):
     scene = two_views(MOTION)
-    ray, step = rays(camera, scene.tracks.keyframe), 1e-7
+    ray, step = camera.rays(scene.tracks.keyframe), 1e-7
     values, sigmas = 1 / scene.points[:, 2], np.linspace(0.001, 0.01, len(scene.points))
 
     def moved(change: float) -> InverseDepths:
@@ -168,7 +168,7 @@ def test_moved_sigmas_by_finite_differences(camera, two_views):
 
 def test_moved_by_a_motion_that_errs_by_finite_differences(camera, two_views):
     scene, step = two_views(MOTION), 1e-7
-    ray, values = rays(camera, scene.tracks.keyframe), 1 / scene.points[:, 2]
+    ray, values = camera.rays(scene.tracks.keyframe), 1 / scene.points[:, 2]
     length = np.linalg.norm(MOTION.translation())
     essential = gtsam.EssentialMatrix(MOTION.rotation(), gtsam.Unit3(MOTION.translation()))
     depths = InverseDepths(scene.tracks.ids, values, 0.01 * values, np.zeros((len(values), 5)))

@@ -10,7 +10,6 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.sequence import Frame
-from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.ground_plane import GroundAligner, GroundPlane
 from fvslam_graph.vo.relative_pose import RelativePose, TwoViews
 
@@ -74,7 +73,7 @@ def two_views(images, view: View, ray: np.ndarray, depths: InverseDepths) -> Two
 def tracks_on(view: View, normal: np.ndarray, seed: int = 0) -> tuple[np.ndarray, InverseDepths]:
     """Rays (N, 3) and depths in baselines of points on the ground."""
     rng = np.random.default_rng(seed)
-    ray = rays(view.camera, rng.uniform(0, (view.camera.width - 1, view.camera.height - 1), (300, 2)))
+    ray = view.camera.rays(rng.uniform(0, (view.camera.width - 1, view.camera.height - 1), (300, 2)))
     values = view.baseline_per_height * ray @ normal
     ray, values = ray[values > 0], values[values > 0]
     return ray, InverseDepths.independent(np.arange(len(values)), values, np.full(len(values), 1e-3))
@@ -125,7 +124,7 @@ def raised_part(view: View, share: float, seed: int) -> np.ndarray:
     """Squares of 50 pixels in the image that hide a share of the ground."""
     camera, rng = view.camera, np.random.default_rng(seed)
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    seen = rays(camera, np.column_stack([u.ravel(), v.ravel()])) @ view.nominal > 0.15
+    seen = camera.rays(np.column_stack([u.ravel(), v.ravel()])) @ view.nominal > 0.15
     ground = np.column_stack([u.ravel(), v.ravel()])[seen]
     raised = np.zeros((camera.height, camera.width), bool)
     while raised.ravel()[seen].mean() < share:

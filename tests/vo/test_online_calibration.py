@@ -2,64 +2,43 @@
 
 from dataclasses import replace
 
-import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.core.camera import Distortion, Recalibration
-from fvslam_graph.core.config import VoSettings, load_config
-from fvslam_graph.core.tracks import Tracks
+from fvslam_graph.core.camera import Recalibration
+from fvslam_graph.core.config import load_config
 from fvslam_graph.core.vo_estimate import CalibrationEvidence
 from fvslam_graph.estimator import estimate
 from fvslam_graph.testing import rendered
 from fvslam_graph.vo.online_calibration import OnlineCalibration
-from fvslam_graph.vo.relative_pose import estimate_relative_pose
 
 
 def lens(camera, log_focal, k1):
     """The camera as it is, where `camera` is what its file says."""
-    stretch = np.exp(log_focal)
-    return replace(
-        camera,
-        fx=camera.fx * stretch,
-        fy=camera.fy * stretch,
-        distortion=Distortion.RADTAN,
-        coefficients=(k1, 0, 0, 0),
-    )
+    return camera.corrected(np.array([log_focal, k1, 0, 0, 0, 0, 0]))
 
 
-def pair(camera, two_views, true, noise, seed):
-    """The evidence of two views through a lens, of a camera that goes ahead and turns."""
-    rng = np.random.default_rng(seed)
-    turn = gtsam.Rot3.Expmap(0.1 * rng.standard_normal(3))
-    tracks = two_views(gtsam.Pose3(turn, np.array([0.3, 0.1, 1.0])), seed=seed).tracks
-    bent = [
-        true.project(np.column_stack([camera.normalize(pixels), np.ones(len(pixels))]))
-        + noise * rng.standard_normal(pixels.shape)
-        for pixels in (tracks.keyframe, tracks.current)
-    ]
-    return estimate_relative_pose(Tracks.alike(tracks.ids, *bent), camera, VoSettings(), seed=0).evidence
+def test_the_gradient_is_that_of_the_likelihood(camera, pair):
+    """Without noise, evidence leads to the truth and up to a third beyond it; where all is right, nowhere.
 
-
-def test_the_gradient_is_that_of_the_likelihood(camera, two_views):
-    """Without noise, evidence leads to the truth in one step, as far as it is linear; where all is right, nowhere."""
+    The third is what weights would tell too much where there is noise (see test_calibration_pairs).
+    """
     for log_focal, k1 in ((0.0, 0.0), (0.0, 0.004), (0.004, 0.0), (-0.003, -0.003)):
-        pairs = [pair(camera, two_views, lens(camera, log_focal, k1), 0, seed) for seed in range(6)]
+        pairs = [pair(lens(camera, log_focal, k1), 0, seed) for seed in range(6)]
         information = sum(evidence.information for evidence in pairs)[:2, :2]
         found = np.linalg.solve(information, sum(evidence.gradient for evidence in pairs)[:2])
-        assert found == pytest.approx([log_focal, k1], rel=0.2, abs=0.001)  # measured 12 %, 0.0006
+        assert found == pytest.approx([log_focal, k1], rel=0.45, abs=0.001)  # measured 28 %, 0.0006
 
 
 def test_corrected_pixels_are_those_of_the_camera_of_the_file(camera):
     true, pixels = lens(camera, 0.02, 0.03), np.random.default_rng(0).uniform(0, 480, (50, 2))
-    recalibration = Recalibration(camera, 0.02, 0.03)
-    ray = np.column_stack([true.normalize(pixels), np.ones(50)])
-    assert recalibration.corrected(pixels) == pytest.approx(camera.project(ray), abs=1e-9)
+    recalibration = Recalibration(camera, true)
+    assert recalibration.corrected(pixels) == pytest.approx(camera.project(true.rays(pixels)), abs=1e-9)
     assert recalibration.filed(recalibration.corrected(pixels)) == pytest.approx(pixels, abs=1e-6)
 
 
 @pytest.mark.parametrize(("log_focal", "k1"), [(0.0, 0.03), (-0.02, -0.03)])
-def test_it_comes_nearer_to_the_truth(camera, two_views, log_focal, k1):
+def test_it_comes_nearer_to_the_truth(camera, pair, log_focal, k1):
     true, online, corrections = lens(camera, log_focal, k1), OnlineCalibration(camera), []
     for seed in range(40):
         # What is left to see after the images were rectified with what is known.
@@ -69,7 +48,7 @@ def test_it_comes_nearer_to_the_truth(camera, two_views, log_focal, k1):
             fy=true.fy * np.exp(-online.applied[0]),
             coefficients=(k1 - online.applied[1], 0, 0, 0),
         )
-        correction = online.add(pair(camera, two_views, left, 0.2, seed))
+        correction = online.add(pair(left, 0.2, seed))
         corrections += [] if correction is None else [correction]
     errors = [np.abs(correction.mean - (log_focal, k1)) for correction in corrections]
     assert len(corrections) >= 3 and errors[-1][1] < 0.1 * abs(k1)  # measured 0.03
@@ -78,22 +57,22 @@ def test_it_comes_nearer_to_the_truth(camera, two_views, log_focal, k1):
 
 
 @pytest.mark.parametrize("seed", [0, 100])
-def test_a_calibration_that_is_right_stays(camera, two_views, seed):
+def test_a_calibration_that_is_right_stays(camera, pair, seed):
     online = OnlineCalibration(camera)
-    assert not any(online.add(pair(camera, two_views, lens(camera, 0, 0), 0.3, seed + number)) for number in range(25))
+    assert not any(online.add(pair(lens(camera, 0, 0), 0.3, seed + number)) for number in range(25))
     assert np.array_equal(online.applied, np.zeros(2))
 
 
-def test_what_only_looks_like_a_wrong_focal_length_corrects_nothing(camera, two_views):
+def test_what_only_looks_like_a_wrong_focal_length_corrects_nothing(camera, pair):
     """A principal point that is off: taken alone, the focal length would be wrong by more than ten deviations."""
     online, true = OnlineCalibration(camera), replace(camera, cx=camera.cx + 8)
-    assert not any(online.add(pair(camera, two_views, true, 0.3, seed)) for seed in range(25))
+    assert not any(online.add(pair(true, 0.3, seed)) for seed in range(25))
 
 
-def test_what_was_corrected_stays_when_later_pairs_are_not_certain(camera, two_views):
+def test_what_was_corrected_stays_when_later_pairs_are_not_certain(camera, pair):
     """The pairs before a correction do not count after it, and the first ones since tell less."""
     online, true = OnlineCalibration(camera), lens(camera, 0.0, 0.03)
-    assert any(online.add(pair(camera, two_views, true, 0.2, seed)) for seed in range(25))  # until one corrects
+    assert any(online.add(pair(true, 0.2, seed)) for seed in range(25))  # until one corrects
     since = OnlineCalibration(camera)
     for number in range(8):
         information = np.diag([1e4, 3e3, 1.0, 1.0, 1.0, 1.0, 1.0])  # k1 within 0.008 by five of them
@@ -104,17 +83,16 @@ def test_what_was_corrected_stays_when_later_pairs_are_not_certain(camera, two_v
     assert not since.applied.any()  # by themselves, they correct nothing
 
 
-def test_it_can_be_switched_off(camera, two_views):
+def test_it_can_be_switched_off(camera, pair):
     online = OnlineCalibration(camera, enabled=False)
-    assert not any(online.add(pair(camera, two_views, lens(camera, 0, 0.05), 0, seed)) for seed in range(10))
+    assert not any(online.add(pair(lens(camera, 0, 0.05), 0, seed)) for seed in range(10))
 
 
 @pytest.fixture(scope="module")
 def bent():
     """A flight through a lens whose distortion its file does not know."""
     flight = rendered("uav", frames=60)
-    images = [Recalibration(flight.camera, 0.0, -0.03)(flight.load(index)) for index in range(len(flight))]
-    return replace(flight, load=images.__getitem__)
+    return flight.recalibrated(lens(flight.camera, 0.0, -0.03))
 
 
 @pytest.mark.parametrize("mode", ["average", "graph"])

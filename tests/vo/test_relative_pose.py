@@ -11,7 +11,7 @@ from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
-from fvslam_graph.vo.epipolar import MatchedRays, calibration_jacobian, epipolar_distance, rays
+from fvslam_graph.vo.epipolar import MatchedRays, calibration_jacobian, epipolar_distance
 from fvslam_graph.vo.relative_pose import estimate_relative_pose
 
 from .conftest import recalibrated
@@ -52,7 +52,7 @@ def test_epipolar_distance_is_that_of_the_textbook(camera, two_views, motion):
     previous, current = np.hstack([tracks.keyframe, ones]), np.hstack([tracks.current, ones])
     line = previous @ F
     expected = (current * line).sum(axis=1) / np.linalg.norm(line[:, :2], axis=1)
-    seen = MatchedRays(rays(camera, tracks.keyframe), rays(camera, tracks.current), camera.fx)
+    seen = MatchedRays(camera.rays(tracks.keyframe), camera.rays(tracks.current), camera.fx)
     distance, _ = epipolar_distance(seen, motion.rotation(), t)
     assert np.abs(distance) == pytest.approx(np.abs(expected), rel=1e-9, abs=1e-9)
     assert 1.0 < distance.std() < 5.0
@@ -67,7 +67,7 @@ def test_epipolar_distance_is_that_of_the_textbook(camera, two_views, motion):
 def test_epipolar_jacobian_by_finite_differences(camera, two_views, motion):
     """Also far from the line, where a Jacobian that takes the line's normal as given is wrong."""
     tracks = two_views(motion, noise=5.0).tracks
-    seen = MatchedRays(rays(camera, tracks.keyframe), rays(camera, tracks.current), camera.fx)
+    seen = MatchedRays(camera.rays(tracks.keyframe), camera.rays(tracks.current), camera.fx)
 
     def distances(step: np.ndarray) -> np.ndarray:
         moved = essential(motion).retract(step)
@@ -86,7 +86,7 @@ def test_epipolar_jacobian_by_finite_differences(camera, two_views, motion):
 def test_calibration_jacobian_by_finite_differences(camera, two_views, motion, number):
     """Against how far a point has to go, in the image as it is, for its true ray to meet the plane of the other one."""
     tracks, step = two_views(motion, noise=0.5).tracks, 1e-6
-    seen = MatchedRays(rays(camera, tracks.keyframe), rays(camera, tracks.current), camera.fx)
+    seen = MatchedRays(camera.rays(tracks.keyframe), camera.rays(tracks.current), camera.fx)
     E = gtsam.SO3.Hat(essential(motion).direction().point3()) @ motion.rotation().matrix()
 
     def true(ray: np.ndarray, change: float) -> np.ndarray:

@@ -4,7 +4,6 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.vo.epipolar import rays
 from fvslam_graph.vo.rotation import fit_rotation
 
 TURN = gtsam.Rot3.Expmap(np.array([0.02, -0.05, 0.1]))
@@ -15,7 +14,7 @@ def angle(a: gtsam.Rot3, b: gtsam.Rot3) -> float:
 
 
 def matched(camera, scene):
-    return rays(camera, scene.tracks.keyframe), rays(camera, scene.tracks.current)
+    return camera.rays(scene.tracks.keyframe), camera.rays(scene.tracks.current)
 
 
 @pytest.mark.parametrize("size", [1.0, 0.01, 0.0])

@@ -12,7 +12,7 @@ from fvslam_graph.core.gaussian_pose import LogScale
 from fvslam_graph.core.inverse_depths import InverseDepths, MetricMap
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.vo.depth import MIN_COMMON, triangulate
-from fvslam_graph.vo.epipolar import MatchedRays, rays
+from fvslam_graph.vo.epipolar import MatchedRays
 from fvslam_graph.vo.ground_plane import GroundPlane
 from fvslam_graph.vo.relative_pose import RelativePose, TwoViews
 from fvslam_graph.vo.scale import ORACLE_VARIANCE, MetricScale
@@ -45,10 +45,10 @@ def world(camera, two_views):
     relative_pose = RelativePose(
         MOTION.rotation(), direction, np.eye(5), inliers, np.zeros((len(inliers), 2)), 0.3, np.zeros((5, 2))
     )
-    ray = rays(camera, tracks.keyframe)
+    ray = camera.rays(tracks.keyframe)
     unit = triangulate(
         tracks.ids,
-        MatchedRays(ray, rays(camera, tracks.current), camera.fx),
+        MatchedRays(ray, camera.rays(tracks.current), camera.fx),
         MOTION.rotation(),
         relative_pose.direction,
     )
