@@ -59,11 +59,17 @@ def recordings(paths: Annotated[list[str], typer.Argument(help="Recordings.")], 
         [sequence.name, by.name, *_before_and_after(sequence, own.camera)]
         for sequence in sequences
         for by, own in zip(sequences, found, strict=True)
-        if sequence.camera == by.camera and own.camera != by.camera.corrected(np.zeros(7))
+        if _same_camera(sequence, by) and own.camera != by.camera.corrected(np.zeros(7))
     ]
     modes = [f"{mode} (m)" for mode in ALL_MODES]
     columns = ["recording", "calibrated by", *modes, "vo (deg/100 m)"]
     save_table(out, "taken-out", Table(columns, rows, caption="APE after Sim(3), and r_rel; before, after; one seed."))
+
+
+def _same_camera(sequence: Sequence, other: Sequence) -> bool:
+    """Whether both are one, or recordings of one camera; worlds are rendered as by the cameras of recordings."""
+    world = any(name.startswith("synthetic:") for name in (sequence.name, other.name))
+    return sequence is other or (sequence.camera == other.camera and not world)
 
 
 def _left(camera: Camera, own: RecordingCalibration) -> Iterator[str]:
