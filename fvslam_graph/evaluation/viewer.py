@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +21,7 @@ from fvslam_graph.core.extras import require
 from fvslam_graph.core.frame_result import FrameResult
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame, Sequence
+from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.trajectory import Status, Trajectory
 from fvslam_graph.evaluation.plots.landmarks import OUTCOMES, recording_of
 from fvslam_graph.runs.frame_files import LANDMARKS
@@ -55,6 +57,8 @@ Columns = dict[str, NDArray[Any]]
 class Viewer:
     """Hands results on to Rerun, frame by frame; a context manager.
 
+    A thread does so while the next frame is estimated: most of the work is compression, outside of Python.
+
     Args:
         target: A file to write, NAME.rrd, or "viewer", which is opened.
         name: Of the recording.
@@ -75,6 +79,8 @@ class Viewer:
         self._image: Image | None = None
         self._last: gtsam.Pose3 | None = None
         self._status: Status | None = None
+        self._worker, self._shown = ThreadPoolExecutor(max_workers=1), Future[None]()
+        self._shown.set_result(None)
         self._recording = rerun.RecordingStream("fvslam")
         for automatic in (self._recording.set_log_time_enabled, self._recording.set_log_tick_enabled):
             automatic(False)
@@ -91,8 +97,11 @@ class Viewer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        self._worker.shutdown()
         self._recording.flush()
         self._recording.disconnect()
+        if error is None:
+            self._shown.result()
 
     def watched(self, sequence: Sequence) -> Sequence:
         """The recording, of which the image that was read last is that of the next result."""
@@ -116,12 +125,21 @@ class Viewer:
             yield result
 
     def show(self, result: FrameResult, landmarks: Columns | None = None) -> None:
-        """Show the result of a frame.
+        """Show the result of a frame, once the one before is shown.
 
         Args:
             result: Its pose, tracks and measures.
             landmarks: Columns of landmarks.csv; None where visual SLAM did not run.
         """
+        self._shown.result()
+        self._shown = self._worker.submit(self._show, result, self._image, landmarks)
+
+    def end(self, smoothed: Trajectory | None) -> None:
+        """Show the path by all measurements, where there is one."""
+        if smoothed is not None:
+            self._recording.log(SMOOTHED, self._rr.LineStrips3D([smoothed.positions]), static=True)
+
+    def _show(self, result: FrameResult, image: Image | None, landmarks: Columns | None) -> None:
         rr, log, pose = self._rr, self._recording.log, result.pose.mean
         self._recording.set_time(FRAME, sequence=result.index)
         when: dict[str, Any] = {"timestamp" if result.stamp > FIRST_DATE else "duration": result.stamp}
@@ -130,7 +148,7 @@ class Viewer:
         if self._last is not None:
             log(ONLINE, rr.LineStrips3D([[self._last.translation(), pose.translation()]]))
         log(ELLIPSOID, self._ellipsoids(pose, np.zeros((1, 3)), result.pose.covariance[None, 3:, 3:]))
-        self._show_image(result)
+        self._show_image(image, result.tracks)
         self._show_landmarks(pose, landmarks)
         for entity, names in ((SCALE, SCALE_COLUMNS), (FEATURES, FEATURE_COLUMNS)):
             log(entity, rr.Scalars([result.measures.get(name, math.nan) for name in names]))
@@ -138,11 +156,6 @@ class Viewer:
             log(STATUS, rr.TextLog(f"frame {result.index}: {result.status}", level=_level(result.status)))
         self._last, self._status = pose, result.status
         self._show_truth(result.stamp, pose)
-
-    def end(self, smoothed: Trajectory | None) -> None:
-        """Show the path by all measurements, where there is one."""
-        if smoothed is not None:
-            self._recording.log(SMOOTHED, self._rr.LineStrips3D([smoothed.positions]), static=True)
 
     def _save(self, path: Path) -> None:
         if path.suffix != SUFFIX:
@@ -173,15 +186,14 @@ class Viewer:
         for entity, names in ((SCALE, SCALE_COLUMNS), (FEATURES, FEATURE_COLUMNS)):
             log(entity, rr.SeriesLines(names=[name.replace("_", " ") for name in names]), static=True)
 
-    def _show_image(self, result: FrameResult) -> None:
+    def _show_image(self, image: Image | None, tracks: Tracks) -> None:
         rr, log = self._rr, self._recording.log
-        if self._image is None:
+        if image is None:
             log(IMAGE, rr.Clear(recursive=False))
         else:
-            _, jpeg = cv2.imencode(".jpg", self._image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
+            _, jpeg = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
             log(IMAGE, rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
-        begin, end = result.tracks.keyframe, result.tracks.current
-        log(TRACKS, rr.Arrows2D(origins=begin, vectors=end - begin))
+        log(TRACKS, rr.Arrows2D(origins=tracks.keyframe, vectors=tracks.current - tracks.keyframe))
 
     def _show_landmarks(self, pose: gtsam.Pose3, landmarks: Columns | None) -> None:
         """Landmarks in the image, which only holds for this frame, and in the world, where they stay."""

@@ -137,3 +137,14 @@ def test_without_rerun_one_sentence_names_the_extra(drive, tmp_path, monkeypatch
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(FvslamError, match=r"fvslam-graph\[rerun\]"):
         Viewer(str(tmp_path / "run.rrd"), "drive", open_sequence(drive).camera)
+
+
+def test_what_goes_wrong_while_it_shows_ends_the_run(recorded, tmp_path, monkeypatch):
+    """A thread shows frames."""
+
+    def fail(*_):
+        raise RuntimeError("no image")
+
+    monkeypatch.setattr(viewer.Viewer, "_show_image", fail)
+    with pytest.raises(RuntimeError, match="no image"):
+        show_run(recorded[0], tmp_path, str(tmp_path / "run.rrd"))
