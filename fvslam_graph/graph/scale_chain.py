@@ -114,7 +114,11 @@ class ScaleChain:
             return False
         direction = motion.mean.translation() / metres
         travel = motion.mean.rotation().unrotate(direction)
-        variance = float(travel @ motion.covariance[3:, 3:] @ travel) + (LENGTH_SIGMA * metres) ** 2
+        translation = motion.covariance[3:, 3:]
+        along = float(travel @ translation @ travel)
+        across = float(np.trace(translation)) - along
+        # Of a direction that errs by an angle, the length along the mean is less by half of the square of that.
+        variance = along + (across / metres) ** 2 / 2 + (LENGTH_SIGMA * metres) ** 2
         length = _Length(metres, math.sqrt(variance), self._scale_of[index])
         self._lengths[previous, index] = length
         self._update.add(_length_factor(previous, index, length, direction, motion.mean, world_T_previous))

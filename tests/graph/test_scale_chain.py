@@ -239,6 +239,27 @@ def test_the_length_against_the_built_in_range():
                 assert length.error(at) == pytest.approx(built_in.error(at), rel=0.02, abs=1e-9)
 
 
+def test_the_length_of_a_motion_whose_direction_is_doubtful():
+    """Where the right motion goes another way than odometry says, it is less long along that way."""
+    doubt, squares, rng = 0.2, [], np.random.default_rng(0)
+    directions = gtsam.Unit3(STEP.translation())
+    own = GaussianPose(STEP, OWN).covariance.copy()
+    basis = STEP.rotation().matrix().T @ directions.basis()
+    own[3:, 3:] += (doubt * METRES) ** 2 * basis @ basis.T
+    for _ in range(300):
+        update = PendingUpdate(Solver(GraphSettings()))
+        chain = ScaleChain(update)
+        chain.extend(0, 1, ScaleStep(LogScale(0.0, 1.0), LogScale(0.0, 1.0)), 1.0)
+        assert chain.measure(0, 1, GaussianPose(STEP, own), gtsam.Pose3())
+        at = gtsam.Values()
+        at.insert(pose_key(0), gtsam.Pose3())
+        gone = METRES * directions.retract(doubt * rng.standard_normal(2)).point3()
+        at.insert(pose_key(1), gtsam.Pose3(STEP.rotation(), gone))
+        at.insert(scale_key(1), 0.0)
+        squares.append(2 * update.factors.at(update.factors.size() - 1).error(at))
+    assert 0.5 < np.mean(squares) < 1.5  # measured 1.0, and 7000 without
+
+
 def test_a_lag_leaves_scales_behind():
     whole, lagged = fed(steps(60)), fed(steps(60), lag=2.0)
     kept = [key for key in lagged.solver.values().keys() if gtsam.Symbol(key).chr() == ord("s")]  # noqa: SIM118
