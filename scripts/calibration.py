@@ -59,7 +59,7 @@ def recordings(paths: Annotated[list[str], typer.Argument(help="Recordings.")], 
         [sequence.name, by.name, *_before_and_after(sequence, own.camera)]
         for sequence in sequences
         for by, own in zip(sequences, found, strict=True)
-        if _same_camera(sequence, by) and own.camera != by.camera.corrected(np.zeros(7))
+        if _same_camera(sequence, by) and own.corrected
     ]
     modes = [f"{mode} (m)" for mode in ALL_MODES]
     columns = ["recording", "calibrated by", *modes, "vo (deg/100 m)"]

@@ -14,7 +14,6 @@ from fvslam_graph.cli.options import (
     Fov,
     Frames,
     ImageTopic,
-    Recalibration,
     SequencePath,
     Stride,
     Telemetry,
@@ -73,7 +72,6 @@ def calibrate(
     stride: Stride = 1,
     topic: ImageTopic = None,
     fov: Fov = None,
-    recalibration: Recalibration = None,
     out: Annotated[Path, typer.Option(help="Calibration to write.")] = Path("camera.yaml"),
 ) -> None:
     """Calibrate a camera by a board, or by a recording that has a rough calibration: what this has left in the images.
@@ -93,9 +91,7 @@ def calibrate(
             raise CameraError(f"{existing[0]} exists and is not overwritten; give another name by --out")
     calibration: RecordingCalibration | BoardCalibration
     if (checkerboard, charuco, square, marker) == (None,) * 4:
-        calibration = _by_recording(
-            path, frames=frames, stride=stride, topic=topic, fov=fov, recalibration=recalibration
-        )
+        calibration = _by_recording(path, frames=frames, stride=stride, topic=topic, fov=fov)
     else:
         calibration = _by_board(Path(path), checkerboard, charuco, square, marker, picture)
     write_camera(out, calibration.camera, calibration.sigmas, calibration.origin)

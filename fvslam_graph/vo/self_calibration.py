@@ -16,6 +16,7 @@ from fvslam_graph.vo.odometry import VisualOdometry
 
 MIN_PAIRS = 10
 PASSES = 5
+NAMES = ("focal length", "k1", "k2", "cx", "cy", "p1", "p2")
 
 
 @dataclass(frozen=True)
@@ -26,16 +27,18 @@ class RecordingCalibration:
         camera: Of the images as the calibration undistorts them; it differs only by what is certain.
         sigmas: (8,) standard deviations of its fx, fy, cx, cy, k1, k2, p1 and p2.
         pairs: How many pairs of images tell it.
+        corrected: Names of the numbers by which it differs.
     """
 
     camera: Camera
     sigmas: NDArray[np.float64]
     pairs: int
+    corrected: tuple[str, ...]
 
     @property
     def origin(self) -> str:
         """What it is by."""
-        return f"{self.pairs} pairs of images of a flight"
+        return f"{self.pairs} pairs of images of a flight; certain: {', '.join(self.corrected) or 'nothing'}"
 
 
 def calibrate_by_tracks(sequence: Sequence) -> RecordingCalibration:
@@ -64,7 +67,8 @@ def calibrate_by_tracks(sequence: Sequence) -> RecordingCalibration:
     camera = sequence.camera
     focal, k1, k2, right, down, p1, p2 = left.sigmas
     sigmas = np.array([focal * camera.fx, focal * camera.fy, right * camera.fx, down * camera.fy, k1, k2, p1, p2])
-    return RecordingCalibration(camera.corrected(errors), sigmas, pairs.count)
+    corrected = tuple(name for name, known in zip(NAMES, certain, strict=True) if known)
+    return RecordingCalibration(camera.corrected(errors), sigmas, pairs.count, corrected)
 
 
 def _pairs(sequence: Sequence) -> CalibrationPairs:

@@ -339,7 +339,7 @@ OPTIONS = {
         "camera fov format mode preset config set seed camera-height camera-pitch"
     ),
     "info {root}/folder": "camera-height camera-pitch topic fov telemetry telemetry-offset",
-    "calibrate {root}/folder --out {out}": "frames stride topic fov recalibration",
+    "calibrate {root}/folder --out {out}": "frames stride topic fov",
     "calibrate {root}/folder/images --checkerboard 5x4 --square 0.1": "checkerboard square charuco marker out",
     "evaluate {root}/run/run": "reference align time-offset",
     "plot {root}/folder": "out align landmarks",

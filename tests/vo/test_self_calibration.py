@@ -21,7 +21,11 @@ def test_a_lens_that_the_file_does_not_know(flight):
     found = calibrate_by_tracks(bent)
     k1, k2, p1, p2 = found.camera.coefficients
     assert abs(k1 - 0.02) < 4 * found.sigmas[4]
-    assert (k2, p1, p2) == (0, 0, 0) and (found.camera.fx, found.camera.cx) == (camera.fx, camera.cx)
+    assert (
+        found.corrected == ("k1",)
+        and (k2, p1, p2) == (0, 0, 0)
+        and (found.camera.fx, found.camera.cx) == (camera.fx, camera.cx)
+    )
     assert 0.0003 < found.sigmas[4] < 0.005
     straight = bent.recalibrated(found.camera)
     rim = np.array([[0.0, 0.0], [camera.width - 1.0, 0.0]])
@@ -30,7 +34,7 @@ def test_a_lens_that_the_file_does_not_know(flight):
 
 def test_a_file_that_is_right(flight):
     found = calibrate_by_tracks(flight)
-    assert found.camera == flight.camera.corrected(np.zeros(7))
+    assert found.camera == flight.camera.corrected(np.zeros(7)) and found.corrected == ()
     assert found.sigmas[0] == pytest.approx(0.01 * flight.camera.fx, rel=0.5)  # hardly more than a file's
 
 
