@@ -89,15 +89,21 @@ def calibrate(
     with writing(out.parent):  # a name may be too long even to ask
         if existing := [file for file in (out, picture) if file.exists()]:
             raise CameraError(f"{existing[0]} exists and is not overwritten; give another name by --out")
-    calibration: RecordingCalibration | BoardCalibration
-    if (checkerboard, charuco, square, marker) == (None,) * 4:
-        calibration = _by_recording(path, frames=frames, stride=stride, topic=topic, fov=fov)
-    else:
-        calibration = _by_board(Path(path), checkerboard, charuco, square, marker, picture)
+    board = None
+    if (checkerboard, charuco, square, marker) != (None,) * 4:
+        if (frames, topic, fov) != (None,) * 3 or stride != 1:
+            raise CameraError("--frames, --stride, --topic and --fov are for a recording, not for a board")
+        board = _by_board(Path(path), checkerboard, charuco, square, marker)
+    calibration = board or _by_recording(path, frames=frames, stride=stride, topic=topic, fov=fov)
     write_camera(out, calibration.camera, calibration.sigmas, calibration.origin)
     for name, (value, sigma) in parameters(calibration.camera, calibration.sigmas).items():
         typer.echo(f"{name} = {value:.5g} +- {sigma:.2g}")
     typer.echo(f"by {calibration.origin}; {out}")
+    if board is not None:
+        from fvslam_graph.evaluation.plots.calibration import plot_residuals
+
+        plot_residuals(board, picture)
+        typer.echo(f"residuals: {picture}")
 
 
 def _by_recording(path: str, **options: Unpack[SequenceOptions]) -> RecordingCalibration:
@@ -108,16 +114,10 @@ def _by_recording(path: str, **options: Unpack[SequenceOptions]) -> RecordingCal
 
 
 def _by_board(
-    path: Path,
-    checkerboard: str | None,
-    charuco: str | None,
-    square: float | None,
-    marker: float | None,
-    picture: Path,
+    path: Path, checkerboard: str | None, charuco: str | None, square: float | None, marker: float | None
 ) -> BoardCalibration:
     from fvslam_graph.core.errors import CameraError
     from fvslam_graph.core.extras import require
-    from fvslam_graph.evaluation.plots.calibration import plot_residuals
     from fvslam_graph.sequences import boards
     from fvslam_graph.sequences.board_calibration import calibrate
 
@@ -128,6 +128,4 @@ def _by_board(
         board = boards.charuco(charuco, square, marker)
     else:
         raise CameraError("a board is --checkerboard with --square, or --charuco with --square and --marker")
-    calibration = calibrate(path, *boards.find_board(path, board))
-    plot_residuals(calibration, picture)
-    return calibration
+    return calibrate(path, *boards.find_board(path, board))

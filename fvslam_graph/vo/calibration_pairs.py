@@ -11,8 +11,9 @@ from fvslam_graph.core.vo_estimate import CalibrationEvidence
 
 Array = NDArray[np.float64]
 
-# By which files err: the logarithm of the focal length, k1, k2, principal point (in focal lengths), p1 and p2.
-PRIOR_SIGMAS = np.array([0.01, 0.05, 0.05, 0.01, 0.01, 0.005, 0.005])
+# Of these, as a logarithm the first, and in focal lengths the principal point.
+NAMES = ("focal length", "k1", "k2", "cx", "cy", "p1", "p2")
+PRIOR_SIGMAS = np.array([0.01, 0.05, 0.05, 0.01, 0.01, 0.005, 0.005])  # by which files err
 NUMBERS = len(PRIOR_SIGMAS)
 CERTAIN = 5.0  # standard deviations from what the file says
 
@@ -80,7 +81,7 @@ class CalibrationPairs:
 
 @dataclass(frozen=True)
 class CalibrationErrors:
-    """By how much the calibration of the file is off, as far as pairs tell, in units of the prior's deviations.
+    """Errors of the calibration of the file, as far as pairs tell, in units of the prior's deviations.
 
     Attributes:
         information: (7, 7) without the prior,

@@ -11,12 +11,11 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.sequence import Sequence
-from fvslam_graph.vo.calibration_pairs import NUMBERS, CalibrationPairs
+from fvslam_graph.vo.calibration_pairs import NAMES, NUMBERS, CalibrationPairs
 from fvslam_graph.vo.odometry import VisualOdometry
 
 MIN_PAIRS = 10
 PASSES = 5
-NAMES = ("focal length", "k1", "k2", "cx", "cy", "p1", "p2")
 
 
 @dataclass(frozen=True)

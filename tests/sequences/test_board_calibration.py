@@ -193,4 +193,6 @@ def test_what_does_not_do(tmp_path, photographs, fvslam):
     for board in ((), ("--charuco", "9x6"), ("--checkerboard", "9x6", "--charuco", "9x6")):
         said = fvslam("calibrate", photographs, *board, *out).err
         assert "a board is --checkerboard with --square, or --charuco with --square and --marker" in said
+    whole = ("--checkerboard", "9x6", *out)
+    assert "are for a recording, not for a board" in fvslam("calibrate", photographs, *whole, "--stride", 2).err
     assert not (tmp_path / "camera.yaml").exists()

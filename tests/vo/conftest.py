@@ -205,13 +205,13 @@ def recalibrated(camera: Camera, pixels: np.ndarray, focal: float, k1: float) ->
 
 
 @pytest.fixture(scope="session")
-def pair(camera: Camera, two_views: Callable[..., Scene]) -> Callable[[Camera, float, int], CalibrationEvidence]:
+def pair(camera: Camera, two_views: Callable[..., Scene]) -> Callable[..., CalibrationEvidence]:
     """Makes what two views of a camera that goes ahead and turns say of its calibration, seen through a true one."""
 
-    def make(true: Camera, noise: float, seed: int) -> CalibrationEvidence:
+    def make(true: Camera, noise: float, seed: int, turn: float = 0.1) -> CalibrationEvidence:
         rng = np.random.default_rng(seed)
-        turn = gtsam.Rot3.Expmap(0.1 * rng.standard_normal(3))
-        tracks = two_views(gtsam.Pose3(turn, np.array([0.3, 0.1, 1.0])), seed=seed).tracks
+        rotation = gtsam.Rot3.Expmap(turn * rng.standard_normal(3))
+        tracks = two_views(gtsam.Pose3(rotation, np.array([0.3, 0.1, 1.0])), seed=seed).tracks
         seen = [
             true.project(camera.rays(pixels)) + noise * rng.standard_normal(pixels.shape)
             for pixels in (tracks.keyframe, tracks.current)

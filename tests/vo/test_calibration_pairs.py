@@ -41,6 +41,11 @@ def test_nothing_is_certain_where_the_file_is_right(camera, pair, seed):
     assert not errors.certain.any() and not errors.likeliest(errors.certain).any()
 
 
+def test_distortion_shows_in_turns(camera, pair):
+    straight, turning = (summed(pair(camera, 0.2, seed, turn) for seed in range(20)).estimate() for turn in (0.0, 0.1))
+    assert straight.sigmas[K1] > 5 * turning.sigmas[K1]  # measured 12
+
+
 @pytest.mark.parametrize("excess", [0.0, 0.05])
 def test_deviations_are_true_also_where_pairs_differ(excess):
     """Squared errors over squared deviations, the mean of many draws: 1 is expected."""

@@ -11,6 +11,7 @@ from fvslam_graph.core.vo_estimate import CalibrationEvidence
 from fvslam_graph.estimator import estimate
 from fvslam_graph.testing import rendered
 from fvslam_graph.vo.online_calibration import OnlineCalibration
+from fvslam_graph.vo.relative_pose import RELAXED
 
 
 def lens(camera, log_focal, k1):
@@ -19,15 +20,15 @@ def lens(camera, log_focal, k1):
 
 
 def test_the_gradient_is_that_of_the_likelihood(camera, pair):
-    """Without noise, evidence leads to the truth and up to a third beyond it; where all is right, nowhere.
+    """Without noise, evidence leads to the truth in one step, as far as it is linear; where all is right, nowhere.
 
-    The third is what weights would tell too much where there is noise (see test_calibration_pairs).
+    Weights are one then, and tell nothing too much.
     """
     for log_focal, k1 in ((0.0, 0.0), (0.0, 0.004), (0.004, 0.0), (-0.003, -0.003)):
         pairs = [pair(lens(camera, log_focal, k1), 0, seed) for seed in range(6)]
-        information = sum(evidence.information for evidence in pairs)[:2, :2]
+        information = RELAXED * sum(evidence.information for evidence in pairs)[:2, :2]
         found = np.linalg.solve(information, sum(evidence.gradient for evidence in pairs)[:2])
-        assert found == pytest.approx([log_focal, k1], rel=0.45, abs=0.001)  # measured 28 %, 0.0006
+        assert found == pytest.approx([log_focal, k1], rel=0.2, abs=0.001)  # measured 12 %, 0.0006
 
 
 def test_corrected_pixels_are_those_of_the_camera_of_the_file(camera):
