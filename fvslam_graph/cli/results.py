@@ -53,7 +53,7 @@ def plot(
     for file in [*plot_runs([read_run(run) for run in runs], out or runs[0], align), *shown]:
         typer.echo(file)
     if rerun is not None:
-        from fvslam_graph.evaluation.viewer import show_run
+        from fvslam_graph.evaluation.replay import show_run
 
         for note in show_run(read_run(runs[0]), runs[0], rerun):
             typer.echo(note, err=True)

@@ -16,17 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.camera import Camera, Image
-from fvslam_graph.core.errors import FvslamError, ResultsError
+from fvslam_graph.core.errors import ResultsError
 from fvslam_graph.core.extras import require
 from fvslam_graph.core.frame_result import FrameResult
-from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame, Sequence
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.trajectory import Status, Trajectory
-from fvslam_graph.evaluation.plots.landmarks import OUTCOMES, recording_of
-from fvslam_graph.runs.frame_files import LANDMARKS
-from fvslam_graph.runs.landmark_table import landmark_columns, landmark_points, read_landmarks_by_frame
-from fvslam_graph.runs.results import Run
+from fvslam_graph.evaluation.plots.landmarks import OUTCOMES
+from fvslam_graph.runs.landmark_table import landmark_columns, landmark_points
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -237,58 +234,6 @@ class Viewer:
         positions = self._truth.positions @ world_T_truth.rotation().matrix().T + world_T_truth.translation()
         self._recording.log(TRUTH, self._rr.LineStrips3D([positions]), static=True)
         self._truth = None
-
-
-def show_run(run: Run, folder: Path, target: str) -> tuple[str, ...]:
-    """Show a finished run as it was while it went on; of its tracks, nothing is kept.
-
-    Args:
-        run: As read from its folder,
-        folder: which is this.
-        target: As for `Viewer`.
-
-    Returns:
-        Notes on what cannot be shown.
-
-    Raises:
-        FvslamError: As by `Viewer`, or landmarks.csv is damaged.
-    """
-    sequence: Sequence | None
-    notes: tuple[str, ...]
-    try:
-        sequence, notes = recording_of(folder, run), ()
-    except FvslamError as error:
-        sequence, notes = None, (f"without images: {error}",)
-    table = folder / LANDMARKS
-    try:
-        landmarks = read_landmarks_by_frame(table) if table.exists() else {}
-    except ValueError as error:
-        raise ResultsError(f"{table} cannot be read, the run must be done again: {error}") from None
-    with Viewer(target, run.name, sequence.camera if sequence else _camera(run), run.ground_truth) as viewer:
-        for index, pose in enumerate(run.online.poses):
-            viewer.see(sequence.load(index) if sequence else None)
-            viewer.show(_result(run, index, pose), landmarks.get(index))
-        viewer.end(run.smoothed)
-    return notes
-
-
-def _camera(run: Run) -> Camera:
-    try:
-        return Camera(**run.info["camera"])
-    except (KeyError, TypeError):
-        raise ResultsError(f"{run.name} does not know its camera; run it again") from None
-
-
-def _result(run: Run, index: int, pose: gtsam.Pose3) -> FrameResult:
-    """What a folder holds of the result of a frame."""
-    measures = {
-        name: float(run.frames[name][index]) for name in (*SCALE_COLUMNS, *FEATURE_COLUMNS) if name in run.frames
-    }
-    covariance = np.zeros((6, 6)) if run.pose_covariances is None else run.pose_covariances[index]
-    estimate, status = GaussianPose(pose, covariance), Status(run.frames["status"][index])
-    return FrameResult(
-        index, float(run.online.stamps[index]), estimate, status, index, GaussianPose.identity(), measures, {}
-    )
 
 
 def _rgb(colour: str) -> list[int]:

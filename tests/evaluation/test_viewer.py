@@ -9,7 +9,8 @@ import pytest
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.errors import FvslamError, ResultsError
 from fvslam_graph.evaluation import viewer
-from fvslam_graph.evaluation.viewer import Viewer, show_run
+from fvslam_graph.evaluation.replay import show_run
+from fvslam_graph.evaluation.viewer import Viewer
 from fvslam_graph.pipeline import run_sequence
 from fvslam_graph.runs.frame_files import LANDMARKS
 from fvslam_graph.runs.landmark_table import read_landmarks_by_frame
