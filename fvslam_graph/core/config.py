@@ -66,10 +66,10 @@ class ScaleSettings(_Group):
     """Metres per unit baseline."""
 
     source: ScaleSource = ScaleSource.PLANE
-    plane_sigma: PositiveFloat = 0.02  # of log scale from one view of the plane,
+    plane_sigma: PositiveFloat = 0.02  # of log scale from one view of a ground as rough as it may be,
     bias_sigma: PositiveFloat = 0.04  # and of what it has in common with neighbouring views,
     bias_correlation_keyframes: PositiveFloat = 5.0  # which decays to a third over so many
-    map_sigma: PositiveFloat = 0.006  # of log scale, added for each keyframe over which the map carries it
+    map_sigma: PositiveFloat = 0.006  # of log scale, usual drift for each keyframe over which the map carries it
     ground: GroundSettings = GroundSettings()
 
     @property

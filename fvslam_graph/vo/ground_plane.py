@@ -46,11 +46,13 @@ class GroundPlane:
         plane: (3,) p = n / d in the previous camera, d in baselines.
         log_variance: Variance of log |p| from the patches themselves and from the motion between the views.
         patches: How many patches lie on it.
+        roughness: How far they lie off it, as a share of what they may.
     """
 
     plane: NDArray[np.float64]
     log_variance: float
     patches: int
+    roughness: float
 
 
 class GroundAligner:
@@ -233,7 +235,7 @@ class GroundAligner:
         log_variance = variance / float(plane @ plane)
         if patches < self.settings.min_patches or plane @ self.normal <= 0:
             return None
-        return GroundPlane(plane, log_variance, patches)
+        return GroundPlane(plane, log_variance, patches, spread)
 
     def _tolerance(self, depths: InverseDepths, predicted: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.hypot(depths.sigmas, self.settings.roughness * predicted)

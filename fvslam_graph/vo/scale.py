@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from fvslam_graph.core.vo_estimate import ScaleStep
 from fvslam_graph.vo.depth import scale_ratio
 from fvslam_graph.vo.ground_plane import GroundAligner
 from fvslam_graph.vo.relative_pose import TwoViews
-from fvslam_graph.vo.scale_filter import ScaleFilter
+from fvslam_graph.vo.scale_filter import GroundScale, ScaleFilter
 
 ORACLE_VARIANCE = 1e-6  # of log scale: 0.1 %
 
@@ -67,8 +68,9 @@ class MetricScale:
         ratio = scale_ratio(views.depths, known.depths)
         if ratio is None:
             predicted = transition = fallback
-            self._filter.forget()
+            self._filter.begin(fallback.variance)
         else:
+            self._filter.carry(known.variance, ratio.variance)
             transition = LogScale(ratio.mean, ratio.variance + self.settings.map_sigma**2)
             predicted = LogScale(ratio.mean, transition.variance + known.variance)
         if self.settings.source is ScaleSource.UNIT:
@@ -82,14 +84,27 @@ class MetricScale:
             step = ScaleStep(scale, transition, measured)
         else:
             plane = self._from_plane(views, predicted, rng)
-            scale = self._filter.update(predicted, plane)
-            step = ScaleStep(scale, transition, plane, self._filter.bias_variance, self._filter.bias_decay)
+            scale = self._filter.update(predicted.mean, plane)
+            step = self._smoothing_step(scale, transition, plane, views.previous.height_sigma)
         old = known.depths if ratio is None else known.depths.scaled(scale.metres / predicted.metres)
         new = views.depths.scaled(scale.metres)
         return step, MetricMap(old.fused(new[new.values > 0]), scale.variance)
 
-    def _from_plane(self, views: TwoViews, predicted: LogScale, rng: np.random.Generator) -> LogScale | None:
-        """The scale by one view of the ground, with a variance without the bias that neighbouring views share."""
+    def _smoothing_step(
+        self, scale: LogScale, transition: LogScale, plane: GroundScale | None, height_sigma: float
+    ) -> ScaleStep:
+        """What a smoother needs to know.
+
+        Landmarks carry the scale there as well, and would follow every hill if the ground were as little off as it is.
+        So it has the usual size there, unless heights say how sure they are.
+        """
+        bias_sigma, plane_sigma = self.settings.bias_sigma, self.settings.plane_sigma
+        share = plane.roughness if plane is not None and height_sigma > 0 else 1.0
+        measured = None if plane is None else replace(plane, roughness=share).measurement(plane_sigma)
+        return ScaleStep(scale, transition, measured, (share * bias_sigma) ** 2, self._filter.bias_decay)
+
+    def _from_plane(self, views: TwoViews, predicted: LogScale, rng: np.random.Generator) -> GroundScale | None:
+        """The scale by one view of the ground."""
         previous, height = views.previous, views.previous.height
         if self._aligner is None or previous.image is None or views.current.image is None or not height > 0:
             return None
@@ -100,5 +115,5 @@ class MetricScale:
         ground = aligner.measure(views, expected, rng)
         if ground is None:
             return None
-        variance = ground.log_variance + self.settings.plane_sigma**2 + (previous.height_sigma / height) ** 2
-        return LogScale(math.log(height * float(np.linalg.norm(ground.plane))), variance)
+        variance = ground.log_variance + (previous.height_sigma / height) ** 2
+        return GroundScale(math.log(height * float(np.linalg.norm(ground.plane))), variance, ground.roughness)

@@ -24,7 +24,7 @@ from fvslam_graph.graph.factors import length_factor, motion_factor, pose_key, p
 from fvslam_graph.graph.pending_update import PendingUpdate
 from fvslam_graph.graph.scale_chain import LENGTH_SIGMA, ScaleChain, scale_key
 from fvslam_graph.graph.solver import Solver
-from fvslam_graph.vo.scale_filter import ScaleFilter
+from fvslam_graph.vo.scale_filter import GroundScale, ScaleFilter
 
 CAMERA = Camera(width=640, height=480, fx=400, fy=400, cx=320, cy=240)
 SETTINGS = ScaleSettings()
@@ -38,18 +38,21 @@ NOTHING = LandmarkObservations(np.empty(0, np.int64), np.empty((0, 2)), np.empty
 
 def steps(count: int, seed: int = 0) -> list[ScaleStep]:
     """What odometry learns of motions that are all `METRES` long, on a ground that is not quite a plane."""
-    rng, scales = np.random.default_rng(seed), ScaleFilter(SETTINGS)
+    rng, scales = np.random.default_rng(seed), ScaleFilter(SETTINGS.model_copy(update={"map_sigma": 1e-9}))
     known, bias, made = LogScale(math.log(METRES), 1.0), 0.0, []
     for number in range(count):
         transition = LogScale(known.mean + DRIFT * rng.standard_normal() * (number > 0), DRIFT**2 if number else 1.0)
-        predicted = LogScale(transition.mean, transition.variance + (known.variance if number else 0.0))
-        bias = (
-            scales.bias_decay * bias + SETTINGS.bias_sigma * math.sqrt(1 - scales.bias_decay**2) * rng.standard_normal()
-        )
+        new = SETTINGS.bias_sigma * rng.standard_normal()
+        bias = scales.bias_decay * bias + math.sqrt(1 - scales.bias_decay**2) * new
         said = math.log(METRES) + bias + SETTINGS.plane_sigma * rng.standard_normal()
-        plane = None if number % 7 == 3 else LogScale(said, SETTINGS.plane_sigma**2)
-        known = scales.update(predicted, plane)
-        made.append(ScaleStep(known, transition, plane, scales.bias_variance, scales.bias_decay))
+        plane = None if number % 7 == 3 else GroundScale(said, 0.0, 1.0)
+        if number:
+            scales.carry(known.variance, DRIFT**2)
+        else:
+            scales.begin(1.0)
+        known = scales.update(transition.mean, plane)
+        measured = plane and plane.measurement(SETTINGS.plane_sigma)
+        made.append(ScaleStep(known, transition, measured, SETTINGS.bias_sigma**2, scales.bias_decay))
     return made
 
 

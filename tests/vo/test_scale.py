@@ -27,8 +27,8 @@ GREY = np.zeros((480, 640), np.uint8)
 class Plumb:
     """A ground that is always seen as given."""
 
-    def __init__(self, baseline_per_height: float, log_variance: float) -> None:
-        self.answer = GroundPlane(np.array([0.0, baseline_per_height, 0.0]), log_variance, 100)
+    def __init__(self, baseline_per_height: float, log_variance: float, roughness: float = 1.0) -> None:
+        self.answer = GroundPlane(np.array([0.0, baseline_per_height, 0.0]), log_variance, 100, roughness)
         self.expected: list[float | None] = []
 
     def measure(self, views, expected, rng) -> GroundPlane | None:
@@ -135,8 +135,8 @@ def test_oracle_without_an_answer(world, answer):
 
 def test_plane_and_map_are_fused(world):
     plumb = Plumb(1.1 * BASELINE / HEIGHT, 0.01**2)
-    scale, learnt = estimate(world, "plane", aligner=plumb, plane_sigma=0.03, bias_sigma=0.04, map_sigma=0.005)
-    predicted, seen = 1 / (0.02**2 + 0.005**2), 1 / (0.01**2 + 0.03**2 + 0.04**2)  # information
+    scale, learnt = estimate(world, "plane", aligner=plumb, plane_sigma=0.03, bias_sigma=0.04, map_sigma=1e-9)
+    predicted, seen = 1 / 0.02**2, 1 / (0.01**2 + 0.03**2 + 0.04**2)  # information
     assert scale.mean == pytest.approx(math.log(BASELINE) + math.log(1.1) * seen / (predicted + seen), rel=1e-6)
     assert scale.variance == pytest.approx(1 / (predicted + seen), rel=1e-6)
     assert plumb.expected == [pytest.approx(BASELINE / HEIGHT)]
@@ -162,6 +162,21 @@ def test_an_uncertain_height_makes_an_uncertain_scale(world):
     assert step.length.variance == pytest.approx(0.1**2 + 0.02**2 + 0.04**2, rel=1e-3)
     assert step.measured is not None and step.measured.variance == pytest.approx(0.1**2 + 0.02**2)
     assert step.bias_variance == pytest.approx(0.04**2)
+
+
+@pytest.mark.parametrize(("height_sigma", "share"), [(0.0, 1.0), (0.2, 0.1)])
+def test_smooth_ground_is_nearly_the_plane(world, height_sigma, share):
+    """For a smoother only where the height says how sure it is."""
+    relative_pose, ray, unit, _ = world
+    metric = MetricScale(ScaleSettings(), Plumb(BASELINE / HEIGHT, 0.0, 0.1), None)
+    frames = [Frame(i, float(i), GREY, HEIGHT, height_sigma=height_sigma) for i in range(2)]
+    step, _ = metric.estimate(
+        TwoViews(*frames, relative_pose, ray, unit), MetricMap.empty(), LogScale(0.0, 1e6), np.random.default_rng(0)
+    )
+    height = (height_sigma / HEIGHT) ** 2
+    assert step.length.variance == pytest.approx(height + 0.002**2 + 0.004**2, rel=1e-3)
+    assert step.measured is not None and step.measured.variance == pytest.approx(height + (share * 0.02) ** 2)
+    assert step.bias_variance == pytest.approx((share * 0.04) ** 2)
 
 
 @pytest.mark.parametrize("height", [math.nan, 0.0, -1.0])
