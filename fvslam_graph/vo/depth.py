@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +13,13 @@ from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.quick import median
 from fvslam_graph.core.tracks import variances_along
 from fvslam_graph.vo.epipolar import MatchedRays
+from fvslam_graph.vo.m_estimator import m_estimator_covariance
 
 PIXEL_NOISE = 0.3  # pixels, of a displacement along each axis, where no motion has told it
 GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
 MIN_COMMON = 10  # tracks of known depth that tell a scale
 RATIO_ITERATIONS, CONVERGED = 10, 0.01  # at most, and deviations of a step after which nothing changes
+RATIO_KERNEL = 2.0  # deviations from which on tracks count for less
 UNKNOWN_DEPTH = 10.0  # and at how far away things are for one whose height is unknown, metres
 
 
@@ -65,7 +69,15 @@ def triangulate(
 
 
 def scale_ratio(unit: InverseDepths, known: InverseDepths) -> LogScale | None:
-    """Scale at which newly triangulated depths agree with known ones; None with too few points in common."""
+    """Scale at which newly triangulated depths agree with known ones; None with too few points in common.
+
+    What the depths of either err together does not average out over points: it is estimated along with the scale,
+    expected to be as large as the motions were uncertain. Iteratively reweighted least squares (Cauchy), by a noise
+    that is at least that of the residuals.
+
+    The variance is that of what each depth errs for itself. What is left of errors in common is taken back at the next
+    keyframe, where the new depths are the known ones: it is no drift.
+    """
     mine, theirs = unit.match(known.ids)
     unit, known = unit[mine], known[theirs]
     usable = (unit.values > unit.sigmas) & (known.values > known.sigmas)
@@ -73,15 +85,27 @@ def scale_ratio(unit: InverseDepths, known: InverseDepths) -> LogScale | None:
         return None
     unit, known = unit[usable], known[usable]
     log_ratio = np.log(unit.values / known.values)
-    sigma = np.hypot(unit.sigmas / unit.values, known.sigmas / known.values)
-    mean = median(log_ratio)
+    known_sigma = known.sigmas / known.values
+    sigma = np.hypot(unit.sigmas / unit.values, known_sigma)
+    prior = np.diag(np.concatenate([[0.0], np.ones(unit.common.shape[1] + known.common.shape[1])]))
+    found = np.zeros(len(prior))  # the scale, and the errors in common
+    found[0] = median(log_ratio)
     for _ in range(RATIO_ITERATIONS):
-        weight = 1 / (sigma**2 * (1 + ((log_ratio - mean) / sigma / 2) ** 2))
-        information, before = float(weight.sum()), mean
-        mean = float((weight * log_ratio).sum()) / information
-        if (mean - before) ** 2 * information < CONVERGED**2:
+        # Of a depth that is too small by chance, common errors would be too large a share: the scale would grow.
+        likeliest = known.values * np.exp((known_sigma / sigma) ** 2 * (log_ratio - found[0]))
+        shares = np.hstack([unit.common / math.exp(found[0]), -known.common]) / likeliest[:, None]
+        design = np.column_stack([np.ones(len(sigma)), shares])
+        residual = log_ratio - design @ found
+        noise = sigma * max(1.0, median(np.abs(residual) / sigma) / 0.6745)
+        weight = 1 / (noise**2 * (1 + (residual / noise / RATIO_KERNEL) ** 2))
+        weighted = weight[:, None] * design
+        information = weighted.T @ design + prior
+        before, found = found[0], np.linalg.solve(information, weighted.T @ log_ratio)
+        if (found[0] - before) ** 2 * weight.sum() < CONVERGED**2:
             break
-    return LogScale(mean, float((weight**2 * (log_ratio - mean) ** 2).sum() / weight.sum() ** 2))
+    residual = ((log_ratio - design @ found) / noise)[:, None]
+    covariance = m_estimator_covariance(residual, 1 / noise[:, None, None], RATIO_KERNEL, np.arange(len(noise)))
+    return None if covariance is None else LogScale(float(found[0]), float(covariance[0, 0]))
 
 
 def typical_depth(

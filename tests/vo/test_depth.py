@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fvslam_graph.core.inverse_depths import COMMON_ERRORS, InverseDepths
-from fvslam_graph.vo.depth import PIXEL_NOISE, triangulate
+from fvslam_graph.vo.depth import PIXEL_NOISE, scale_ratio, triangulate
 from fvslam_graph.vo.epipolar import MatchedRays
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.6, -0.2, 0.5]))
@@ -193,3 +193,56 @@ def test_points_that_are_passed_are_dropped():
     assert moved.values == pytest.approx([1 / 8, 1 / 0.5])
     around = gtsam.Pose3(gtsam.Rot3.Ry(np.pi), np.zeros(3))
     assert len(depths.seen_from(ray, around)) == 0
+
+
+def two_triangulations(seed: int, own: float, common: float, count: int = 100) -> tuple[InverseDepths, InverseDepths]:
+    """New depths in baselines of 2 m and known ones, which err by these shares of the usual depth."""
+    rng = np.random.default_rng(seed)
+    true = rng.uniform(0.05, 0.3, count)
+    x, y = rng.uniform(-1, 1, (2, count))
+    errors = common * np.median(true) * np.column_stack([x, y, x**2 + y**2])
+    found = []
+    for length in (2.0, 1.0):
+        sigmas = np.full(count, own * np.median(true) * length)
+        values = length * (true + errors @ rng.standard_normal(3)) + sigmas * rng.standard_normal(count)
+        found.append(InverseDepths(np.arange(count), values, sigmas, length * errors))
+    return found[0], found[1]
+
+
+def test_scale_ratio_is_exact():
+    _, known = two_triangulations(0, 0.01, 0.05)
+    ratio = scale_ratio(known.scaled(1 / 2), known)
+    assert ratio is not None and ratio.metres == pytest.approx(2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("own", [0.01, 0.05, 0.2])
+def test_scale_ratio_is_consistent(own):
+    ratios = [scale_ratio(*two_triangulations(seed, own, 0.0)) for seed in range(300)]
+    errors = np.array([ratio.mean - np.log(2) for ratio in ratios if ratio])
+    assert len(errors) == 300
+    squares = errors**2 / [ratio.variance for ratio in ratios if ratio]
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.35)  # one deviation is 0.08
+    assert abs(np.mean(errors)) < 4 * np.std(errors) / np.sqrt(300)
+
+
+def test_scale_ratio_does_not_follow_errors_in_common():
+    """These make one side of the image nearer: what is left of them over the points is taken out."""
+
+    def errors(forgotten: bool) -> float:
+        found = []
+        for seed in range(100):
+            pair = two_triangulations(seed, 0.02, 0.03)
+            if forgotten:
+                pair = tuple(InverseDepths.independent(d.ids, d.values, d.sigmas) for d in pair)
+            ratio = scale_ratio(*pair)
+            assert ratio is not None
+            found.append(ratio.mean - np.log(2))
+        return float(np.std(found))
+
+    assert errors(forgotten=False) < 0.4 * errors(forgotten=True)
+
+
+def test_scale_ratio_of_uncertain_depths_does_not_grow():
+    """Depths that are too small by chance would have larger common errors, if these were a share of them."""
+    ratios = [scale_ratio(*two_triangulations(seed, 0.2, 0.3)) for seed in range(200)]
+    assert abs(np.mean([ratio.mean - np.log(2) for ratio in ratios if ratio])) < 0.05
