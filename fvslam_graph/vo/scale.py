@@ -93,10 +93,10 @@ class MetricScale:
     def _smoothing_step(
         self, scale: LogScale, transition: LogScale, plane: GroundScale | None, height_sigma: float
     ) -> ScaleStep:
-        """What a smoother needs to know.
+        """What a smoother takes: the ground at its roughest, unless heights come with a deviation.
 
-        Landmarks carry the scale there as well, and would follow every hill if the ground were as little off as it is.
-        So it has the usual size there, unless heights say how sure they are.
+        Landmarks carry the scale there as well. Ground that counts for what it tells brings metres nearer, but path and
+        landmarks follow its hills (docs/decisions/scale-filter.md).
         """
         bias_sigma, plane_sigma = self.settings.bias_sigma, self.settings.plane_sigma
         share = plane.roughness if plane is not None and height_sigma > 0 else 1.0

@@ -33,7 +33,7 @@ class GroundScale:
     roughness: float
 
     def measurement(self, plane_sigma: float) -> LogScale:
-        """As an independent measurement, where a view of the roughest ground errs by `plane_sigma` for itself."""
+        """What is new in this view, as a measurement: on the roughest ground it errs by `plane_sigma` for itself."""
         return LogScale(self.mean, self.variance + (self.roughness * plane_sigma) ** 2)
 
 

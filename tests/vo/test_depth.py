@@ -242,7 +242,17 @@ def test_scale_ratio_does_not_follow_errors_in_common():
     assert errors(forgotten=False) < 0.4 * errors(forgotten=True)
 
 
-def test_scale_ratio_of_uncertain_depths_does_not_grow():
+def test_scale_ratio_of_uncertain_depths_hardly_grows():
     """Depths that are too small by chance would have larger common errors, if these were a share of them."""
-    ratios = [scale_ratio(*two_triangulations(seed, 0.2, 0.3)) for seed in range(200)]
-    assert abs(np.mean([ratio.mean - np.log(2) for ratio in ratios if ratio])) < 0.05
+    errors = []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        true, ids = rng.uniform(0.05, 0.3, 100), np.arange(100)
+        common = 0.1 * np.median(true) * np.column_stack([*rng.uniform(-1, 1, (2, 100)), np.ones(100)])
+        sigmas = np.full(100, 0.2 * np.median(true))
+        new = true + common @ rng.standard_normal(3) + sigmas * rng.standard_normal(100)
+        known = InverseDepths.independent(ids, true * (1 + 0.01 * rng.standard_normal(100)), 0.01 * true)
+        ratio = scale_ratio(InverseDepths(ids, new, sigmas, common), known)
+        assert ratio is not None
+        errors.append(ratio.mean)
+    assert abs(np.mean(errors)) < 0.07  # measured -0.03, and 0.13 by a share of the depths as they are
