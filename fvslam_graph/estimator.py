@@ -161,9 +161,11 @@ class FrameEstimator:
         )
 
     def _start(self, frame: Frame, odometry: VoEstimate) -> SlamEstimate | None:
-        """Begin visual SLAM where odometry knows enough points to begin with, and the scale source has spoken."""
+        """Begin visual SLAM where odometry knows enough points beyond doubt, and the scale source has spoken."""
         points, seconds = odometry.points, frame.stamp - self._stamps[odometry.previous]
-        if odometry.status is not Status.TRACKED or len(points) < self.config.slam.min_landmarks:
+        if odometry.status is not Status.TRACKED or odometry.map_is_doubtful:
+            return None
+        if len(points) < self.config.slam.min_landmarks:
             return None
         if points.log_variance >= UNINFORMATIVE_VARIANCE and not self.config.scale.relative:
             return None

@@ -110,6 +110,16 @@ def test_visual_slam_starts_when_the_scale_is_known(flown, estimated):
     assert 0.01 < max(np.linalg.norm(error.translation()) for error in errors) < 1.0  # metres on 29 m; measured 0.4
 
 
+def test_visual_slam_starts_where_the_first_map_is_beyond_doubt():
+    """A slow flight: odometry has depths from its second motion on, but the more noise, the less is known of them."""
+    started = []
+    for noise in (2.0, 8.0):
+        slow = synthetic_sequence("uav", frames=12, size="320x240", seed=3, noise=noise)
+        results = list(estimate(slow, load_config(settings=["mode=average"])))
+        started.append(next(result.index for result in results if result.slam is not None))
+    assert started[0] < started[1]  # measured 2 and 6
+
+
 @pytest.mark.parametrize("interleave", [1, 5])
 def test_visual_slam_with_odometry_as_prior(flown, interleave):
     settings = ["mode=vslam", "slam.motion=odometry", f"slam.interleave={interleave}"]

@@ -86,6 +86,7 @@ class VoEstimate:
         tracks: Those that agree with the motion.
         scale: Of the baseline between the two, and where it comes from; None where none was estimated.
         map: What is known of the depths of these tracks in this frame.
+        map_is_doubtful: Whether the map may be of the wrong one of two motions that explain a plane.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         scale_known: Whether its length is in the scale of the run (metres, or that of the first motion); else it is a
             guess.
@@ -103,6 +104,7 @@ class VoEstimate:
     tracks: Tracks = field(default_factory=Tracks.none)
     scale: ScaleStep | None = None
     map: MetricMap = field(default_factory=MetricMap.empty)
+    map_is_doubtful: bool = False
     parallax: float = math.nan
     scale_known: bool = True
     awaited: tuple[int, ...] = ()

@@ -32,6 +32,7 @@ class KeyframeMotion:
         evidence: What two views say of these.
         errors: (5, 5) what the last five of the errors that the map's depths share add to rotation and direction; None
             where they add nothing.
+        noise: Pixels, standard deviation of a corner's displacement along each axis; NaN where not measured.
     """
 
     keyframe_T_cur: GaussianPose
@@ -42,12 +43,25 @@ class KeyframeMotion:
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
     evidence: CalibrationEvidence | None = None
     errors: NDArray[np.float64] | None = None
+    noise: float = math.nan
 
 
 def relative_variance(motion: KeyframeMotion) -> float:
     """The variance of the translation, apart from its scale, as a share of its squared length."""
     pose = motion.keyframe_T_cur.with_scale_variance(-motion.map.variance)
     return float(np.trace(pose.covariance[3:, 3:]) / max(np.sum(pose.mean.translation() ** 2), 1e-12))
+
+
+def of_either(motion: GaussianPose, depth: float) -> GaussianPose:
+    """A motion that may be the wrong one of the two that explain a plane: it is as uncertain as it is large.
+
+    Args:
+        motion: keyframe_T_cur.
+        depth: Metres to what is seen.
+    """
+    metres = float(np.linalg.norm(motion.mean.translation()))
+    sigmas = np.repeat([metres / depth, metres], 3)
+    return GaussianPose(motion.mean, motion.covariance + np.diag(sigmas**2))
 
 
 def standing(rotation: gtsam.Rot3, hidden: float, depth: float) -> GaussianPose:

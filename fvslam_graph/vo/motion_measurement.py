@@ -26,7 +26,7 @@ from fvslam_graph.vo.keyframe_motion import KeyframeMotion, relative_variance, t
 from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.relative_pose import TwoViews, estimate_relative_pose
-from fvslam_graph.vo.rotation import fit_rotation
+from fvslam_graph.vo.rotation import fit_rotation, hidden_parallax
 from fvslam_graph.vo.scale import MetricScale
 
 GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
@@ -103,9 +103,8 @@ class MotionMeasurement:
             rotation, unexplained = fit_rotation(
                 self._camera.rays(tracks.keyframe), self._camera.rays(tracks.current), self._camera.fx
             )
-            parallax = median(unexplained)
-        motion = self._by_parallax(view, rotation, parallax)
-        return motion and replace(motion, parallax=parallax)
+        motion = self._by_parallax(view, rotation, unexplained)
+        return motion and replace(motion, parallax=median(unexplained))
 
     def from_map(self, view: View) -> KeyframeMotion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
@@ -137,7 +136,8 @@ class MotionMeasurement:
         """Whether so few of the keyframe's points are left that another one is needed."""
         return len(tracks) < self._settings.keyframe_tracks * keyframe.points
 
-    def _by_parallax(self, view: View, rotation: gtsam.Rot3, parallax: float) -> KeyframeMotion | None:
+    def _by_parallax(self, view: View, rotation: gtsam.Rot3, unexplained: NDArray[np.float64]) -> KeyframeMotion | None:
+        parallax = median(unexplained)
         far, some = parallax > self._settings.keyframe_parallax, parallax > self._settings.min_parallax
         located = None if far else self.from_map(view)
         if located is not None and not (some and view.keyframe.map_is_weak):
@@ -146,7 +146,7 @@ class MotionMeasurement:
             return motion if located is None else min(located, motion, key=relative_variance)
         if far:
             return self.from_map(view)
-        return located or self._rotation_only(view, rotation, parallax)
+        return located or self._rotation_only(view, rotation, hidden_parallax(unexplained))
 
     def _from_two_views(self, view: View) -> KeyframeMotion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
@@ -179,7 +179,10 @@ class MotionMeasurement:
         pose = metric_pose(relative_pose, scale.length)
         evidence = None if keyframe.map_is_weak else relative_pose.evidence  # with the wrong motion, it would be wrong
         errors = square_root(relative_pose.covariance)
-        return KeyframeMotion(pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence, errors=errors)
+        noise = relative_pose.noise
+        return KeyframeMotion(
+            pose, tracks, known, scale, J_calibration=J_calibration, evidence=evidence, errors=errors, noise=noise
+        )
 
     def _expected(self, view: View) -> Iterator[gtsam.Pose3]:
         """Where the camera may be: as its motion leads there, and among the points of known depth."""

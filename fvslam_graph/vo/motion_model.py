@@ -32,6 +32,7 @@ class ConstantVelocity:
         self._samples = PRIOR_SAMPLES
         self.twist = np.zeros(6)  # rad/s, m/s
         self.log_variance = 0.0  # of the scale of the velocity
+        self._covariance = np.zeros((6, 6))  # of the velocity, as it was measured, without its scale
         self._known = False  # whether it was ever measured
         self._age = 0.0  # seconds from when it held, on average, to where predictions start
 
@@ -49,7 +50,7 @@ class ConstantVelocity:
         return LogScale(math.log(metres), self.log_variance + (sigma / metres) ** 2)
 
     def observe(
-        self, last_T_cur: gtsam.Pose3, seconds: float, log_variance: float, passed: float | None = None
+        self, last_T_cur: GaussianPose, seconds: float, log_variance: float, passed: float | None = None
     ) -> None:
         """Take over the velocity of a measured motion, whose scale has a variance.
 
@@ -59,7 +60,7 @@ class ConstantVelocity:
             passed: and how much of that is after what was taken over before; by default all.
             log_variance: Of its length.
         """
-        twist = gtsam.Pose3.Logmap(last_T_cur) / seconds
+        twist = gtsam.Pose3.Logmap(last_T_cur.mean) / seconds
         between = self._age + seconds / 2 if passed is None else self._age + passed - seconds / 2
         if self._known and between > 0:
             change = (twist - self.twist).reshape(2, 3) / between
@@ -67,10 +68,13 @@ class ConstantVelocity:
             self._squares = self._squares + np.minimum((change**2).mean(axis=1), largest)
             self._samples += 1
         self.twist, self.log_variance = twist, log_variance
+        own = last_T_cur.with_scale_variance(-last_T_cur.room_for_scale(log_variance))
+        self._covariance = own.covariance / seconds**2
         self._known, self._age = True, seconds / 2
 
     def stop(self) -> None:
-        """The camera stands still."""
+        """The camera stands still, or goes on as before, and an image was delivered twice."""
+        self._covariance = np.outer(self.twist, self.twist)
         self.twist = np.zeros(6)
         self._known, self._age = True, 0.0
 
@@ -83,4 +87,6 @@ class ConstantVelocity:
         sigmas = self.accelerations * (self._age + seconds / 2) * seconds
         if not self._known:
             sigmas += seconds * np.repeat(UNKNOWN_VELOCITY, 3)
-        return GaussianPose(gtsam.Pose3.Expmap(self.twist * seconds), np.diag(sigmas**2))
+        return GaussianPose(
+            gtsam.Pose3.Expmap(self.twist * seconds), self._covariance * seconds**2 + np.diag(sigmas**2)
+        )

@@ -29,16 +29,17 @@ from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
 from fvslam_graph.vo.depth import typical_depth
 from fvslam_graph.vo.ground_plane import GroundAligner
-from fvslam_graph.vo.keyframe_motion import KeyframeMotion, standing
+from fvslam_graph.vo.keyframe_motion import KeyframeMotion, of_either, standing
 from fvslam_graph.vo.lost_keyframes import LostKeyframe, LostKeyframes
 from fvslam_graph.vo.motion_measurement import GUESS, Keyframe, MotionMeasurement, View
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.plausibility import MotionGate
-from fvslam_graph.vo.rotation import fit_rotation
+from fvslam_graph.vo.rotation import fit_rotation, hidden_parallax
 from fvslam_graph.vo.scale import MetricScale
 
 MIN_TRACK_RATIO = 2  # times the inliers needed: fewer tracks, and none is left apart
 SHARE_AFTER_A_GAP = 0.7  # of the tracks that a motion explains at least: over a gap, half agree by chance now and then
+CLEAR_PARALLAX = 20.0  # deviations of a track's noise; with more, the first map is right
 MAX_FAILURES = 3  # textured images in a row that do not fit the keyframe before it is given up
 CARRIED = 0.25  # variance of a logarithm, up to which the speed carries a scale without a map: within a factor of 1.6
 
@@ -131,10 +132,12 @@ class VisualOdometry:
         if motion is None:
             return replace(self._coast(frame, Status.COASTED), found=len(tracks), parallax=measured.parallax)
         estimate = self._accept(frame, motion) if standing is None else self._accept_static(frame, motion)
-        estimate = replace(estimate, found=len(tracks), parallax=motion.parallax)
-
         far = motion.scale is not None and motion.parallax > self.settings.keyframe_parallax
         weak = self._keyframe.map_is_weak and not far
+        clear = motion.scale is not None and motion.parallax > CLEAR_PARALLAX * motion.noise
+        doubtful = weak and not clear
+        estimate = replace(estimate, found=len(tracks), parallax=motion.parallax, map_is_doubtful=doubtful)
+
         worn_out = self._measurement.is_worn_out(self._keyframe, motion.tracks)
         if standing is None and (far or worn_out):
             self._set_keyframe(frame, motion.tracks, estimate.map, weak)
@@ -200,7 +203,7 @@ class VisualOdometry:
         if median(np.linalg.norm(current - last, axis=1)) > limit:
             return None
         rotation, unexplained = fit_rotation(self.camera.rays(last), self.camera.rays(current), self.camera.fx)
-        return rotation if median(unexplained) < self.settings.static_parallax else None
+        return rotation if hidden_parallax(unexplained) < self.settings.static_parallax else None
 
     def _static(self, tracks: Tracks, shaken: gtsam.Rot3) -> KeyframeMotion:
         """No translation, since where the camera last moved."""
@@ -221,7 +224,10 @@ class VisualOdometry:
         # The mean since the keyframe: a difference of two poses that are near each other would be mostly noise.
         seconds = frame.stamp - self._keyframe.frame.stamp
         passed = frame.stamp - self._last_stamp
-        self._motion_model.observe(motion.keyframe_T_cur.mean, seconds, motion.map.variance, passed)
+        measured = motion.keyframe_T_cur
+        if self._keyframe.map_is_weak:
+            measured = of_either(measured, self._typical_depth(self._keyframe))
+        self._motion_model.observe(measured, seconds, motion.map.variance, passed)
         self._keyframe_T_last, self._last_stamp = motion.keyframe_T_cur, frame.stamp
         self._seen, self._failures, self._coasted = motion.tracks, 0, 0
         if motion.scale is not None:

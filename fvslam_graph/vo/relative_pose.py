@@ -47,6 +47,7 @@ RANSAC_TRACKS = 120  # that RANSAC looks at, at least, where there are more
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
 MAX_BEHIND = 5.0  # deviations that a depth behind the camera counts for
+SPREAD = 0.5  # of inverse depths about what is usual, where none is known: all are ahead, few much nearer than others
 
 
 @dataclass(frozen=True)
@@ -249,11 +250,14 @@ class _Fit:
         return np.asarray(J_calibration[:, :2], float), evidence
 
     def cost(self, noise: float) -> float:
-        """Cauchy cost of the epipolar distances, and of how the depths depart from those known, up to their scale."""
+        """Cauchy cost of the epipolar distances, and of how the depths depart from those known, up to their scale.
+
+        Where none is known, all are taken to be about the same.
+        """
         cost = float(np.log1p((self.distance / (KERNEL * noise)) ** 2).sum())
-        if self.matches.known is None:
-            return cost
         known, depths = self.matches.known, self.matches.depths(self.rotation, self.direction, noise)
+        if known is None:
+            known = InverseDepths.independent(depths.ids, np.ones(len(depths)), np.full(len(depths), SPREAD))
         mine, theirs = depths.match(known.ids)
         values, variance = depths.values[mine], depths.sigmas[mine] ** 2
         expected, doubt = known.values[theirs], known.total_sigmas[theirs] ** 2

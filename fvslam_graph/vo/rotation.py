@@ -6,7 +6,10 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.core.quick import median
+
 _ROTATION_ITERATIONS = 4
+_MOST, _NOISE = 0.9, 3.0  # of the points; times what half of them have by noise alone, these have at most
 
 
 def fit_rotation(
@@ -33,3 +36,14 @@ def fit_rotation(
         residual = focal * np.sqrt((off * off).sum(axis=1))
         weight = 1 / np.maximum(residual, 0.1)
     return rotation, residual
+
+
+def hidden_parallax(unexplained: NDArray[np.float64]) -> float:
+    """Pixels of parallax in which a translation may hide.
+
+    Half of the points may be on the horizon, whatever the camera does: the nearest tenth has its say.
+
+    Args:
+        unexplained: (N,) image motion that no rotation explains, pixels.
+    """
+    return max(median(unexplained), float(np.quantile(unexplained, _MOST)) / _NOISE)

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.vo.rotation import fit_rotation
+from fvslam_graph.vo.rotation import fit_rotation, hidden_parallax
 
 TURN = gtsam.Rot3.Expmap(np.array([0.02, -0.05, 0.1]))
 
@@ -63,3 +63,10 @@ def test_the_result_is_a_rotation_even_for_nonsense():
     )
     assert np.linalg.det(rotation.matrix()) == pytest.approx(1.0)
     assert np.isfinite(residual).all()
+
+
+def test_near_points_tell_a_parallax_that_the_horizon_hides():
+    noise = np.abs(np.random.default_rng(0).standard_normal(200))
+    assert hidden_parallax(noise) == pytest.approx(np.median(noise))
+    near = np.where(np.arange(200) % 4 == 0, 30.0, noise)
+    assert hidden_parallax(near) == pytest.approx(10.0)
