@@ -184,6 +184,7 @@ class VisualOdometry:
             frame.stamp,
             self._keyframe.frame.stamp,
             self._motion_model.accelerations,
+            motion.map.variance,
         )
         if pose is None:
             return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
@@ -15,6 +16,7 @@ MAX_INNOVATION = 225.0  # squared deviations: accelerations have heavy tails, an
 AGREEMENT_GATE = chi2_gate(0.999, 6)  # but once in doubt, less
 HARDLY_BELIEVED = 50.0  # beyond which a motion is believed, but leaves open that what was expected is right
 INSISTENCE = 3  # implausible motions in a row that agree with each other: what the images insist on is believed
+SCALES = np.linspace(-6, 6, 49)  # deviations of the logarithm of a scale
 AGED = 3.0  # standard deviations, within which a velocity has become so old that it allows for another one
 
 Array = NDArray[np.float64]
@@ -63,7 +65,13 @@ class MotionGate:
         self.insisted = False  # whether it was only since the images insisted
 
     def apply(
-        self, measured: GaussianPose, expected: GaussianPose, stamp: float, start: float, accelerations: Array
+        self,
+        measured: GaussianPose,
+        expected: GaussianPose,
+        stamp: float,
+        start: float,
+        accelerations: Array,
+        log_variance: float = 0.0,
     ) -> GaussianPose | None:
         """The measured motion with a covariance that says how far it is to be believed; None where it is not.
 
@@ -73,8 +81,9 @@ class MotionGate:
             stamp: Of the current image,
             start: and of the keyframe.
             accelerations: (6,) standard deviations, rad/s^2 and m/s^2.
+            log_variance: Of the scale of the measured motion, which its covariance holds.
         """
-        error, innovation = _difference(expected, measured)
+        error, innovation = _difference(expected, measured, log_variance)
         self.insisted = False
         if innovation > (AGREEMENT_GATE if self._refused else MAX_INNOVATION):
             self._refused = [*self._refused[1 - INSISTENCE :], _Measured(stamp, measured)]
@@ -108,7 +117,16 @@ class MotionGate:
         return _difference(expected, third.pose)[1] < AGREEMENT_GATE
 
 
-def _difference(expected: GaussianPose, measured: GaussianPose) -> tuple[Array, float]:
-    """Difference of two poses, in the tangent (6,) of the measured one, and in squared deviations."""
+def _difference(expected: GaussianPose, measured: GaussianPose, log_variance: float = 0.0) -> tuple[Array, float]:
+    """Difference of two poses, in the tangent (6,) of the measured one, and in squared deviations.
+
+    These are the least that any length of the measured one has together with how unlikely this length is: a doubtful
+    scale explains how far the camera went, and never that it went back.
+    """
     error = -gtsam.Pose3.Logmap(measured.mean.between(expected.mean))
-    return error, float(error @ np.linalg.solve(expected.covariance + measured.covariance, error))
+    variance = measured.room_for_scale(log_variance)
+    scales = np.exp(math.sqrt(variance) * SCALES) if measured.travel.any() else np.ones(1)
+    errors = error[:, None] + np.outer(measured.travel, scales - 1)
+    covariance = expected.covariance + measured.with_scale_variance(-variance).covariance
+    unlikely = SCALES**2 if len(scales) > 1 else 0.0
+    return error, float(((errors * np.linalg.solve(covariance, errors)).sum(axis=0) + unlikely).min())

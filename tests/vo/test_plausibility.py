@@ -49,6 +49,15 @@ def test_images_in_the_wrong_order_are_not_believed():
     assert verdicts[2].covariance == pytest.approx(pose(3.0).covariance)  # as if nothing had been
 
 
+@pytest.mark.parametrize("length, believed", [(1.0, True), (2.0, True), (0.5, True), (-1.0, False), (-0.3, False)])
+def test_a_doubtful_scale_never_turns_a_motion_round(length, believed):
+    """Of which nobody knows how long it is, within a factor of four."""
+    measured = pose(length).with_scale_variance(2.0)
+    assert (driven().apply(measured, expected(STEP), STEP, 0.0, ACCELERATIONS, 2.0) is not None) == believed
+    as_normal = driven().apply(measured, expected(STEP), STEP, 0.0, ACCELERATIONS)
+    assert as_normal is not None  # a scale whose own error were normal could do anything
+
+
 def test_what_does_not_agree_with_itself_is_never_believed():
     assert judge(driven(), [-3.0, 4.0, -2.0, 7.0, -5.0]) == [None] * 5
 
