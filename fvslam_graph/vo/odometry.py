@@ -132,10 +132,10 @@ class VisualOdometry:
         if motion is None:
             return replace(self._coast(frame, Status.COASTED), found=len(tracks), parallax=measured.parallax)
         estimate = self._accept(frame, motion) if standing is None else self._accept_static(frame, motion)
-        far = motion.scale is not None and motion.parallax > self.settings.keyframe_parallax
+        two_views = motion.scale is not None
+        far = two_views and motion.parallax > self.settings.keyframe_parallax
         weak = self._keyframe.map_is_weak and not far
-        clear = motion.scale is not None and motion.parallax > CLEAR_PARALLAX * motion.noise
-        doubtful = weak and not clear
+        doubtful = weak and not (two_views and motion.parallax > CLEAR_PARALLAX * motion.noise)
         estimate = replace(estimate, found=len(tracks), parallax=motion.parallax, map_is_doubtful=doubtful)
 
         worn_out = self._measurement.is_worn_out(self._keyframe, motion.tracks)

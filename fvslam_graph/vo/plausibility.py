@@ -16,7 +16,7 @@ MAX_INNOVATION = 225.0  # squared deviations: accelerations have heavy tails, an
 AGREEMENT_GATE = chi2_gate(0.999, 6)  # but once in doubt, less
 HARDLY_BELIEVED = 50.0  # beyond which a motion is believed, but leaves open that what was expected is right
 INSISTENCE = 3  # implausible motions in a row that agree with each other: what the images insist on is believed
-SCALES = np.linspace(-6, 6, 49)  # deviations of the logarithm of a scale
+SCALES = np.linspace(-6, 6, 49)  # deviations of the logarithm of a scale, for which a motion is tried
 AGED = 3.0  # standard deviations, within which a velocity has become so old that it allows for another one
 
 Array = NDArray[np.float64]
@@ -123,10 +123,14 @@ def _difference(expected: GaussianPose, measured: GaussianPose, log_variance: fl
     These are the least that any length of the measured one has together with how unlikely this length is: a doubtful
     scale explains how far the camera went, and never that it went back.
     """
-    error = -gtsam.Pose3.Logmap(measured.mean.between(expected.mean))
+    error, travel = -gtsam.Pose3.Logmap(measured.mean.between(expected.mean)), measured.travel
     variance = measured.room_for_scale(log_variance)
-    scales = np.exp(math.sqrt(variance) * SCALES) if measured.travel.any() else np.ones(1)
-    errors = error[:, None] + np.outer(measured.travel, scales - 1)
     covariance = expected.covariance + measured.with_scale_variance(-variance).covariance
-    unlikely = SCALES**2 if len(scales) > 1 else 0.0
-    return error, float(((errors * np.linalg.solve(covariance, errors)).sum(axis=0) + unlikely).min())
+    both = np.column_stack([error, travel])
+    (at_one, slope), (_, curvature) = both.T @ np.linalg.solve(covariance, both)
+    if not variance > 0 or not curvature > 0:
+        return error, float(at_one)
+    nearest = max(1 - slope / curvature, 1e-9)  # by the poses alone
+    scales = np.append(np.exp(math.sqrt(variance) * SCALES), nearest)
+    squares = at_one + 2 * (scales - 1) * slope + (scales - 1) ** 2 * curvature
+    return error, float((squares + np.log(scales) ** 2 / variance).min())
