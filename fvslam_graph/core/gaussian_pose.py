@@ -142,7 +142,9 @@ class LogScale:
 
 def _room(variance: float, direction: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
     """Variance of an error along `direction` (6,), at most what a covariance (6, 6) holds."""
-    known = float(direction @ np.linalg.pinv(covariance, hermitian=True) @ direction)
+    squares, axes = np.linalg.eigh(covariance)
+    held = squares > 1e-15 * squares[-1]
+    known = float(((direction @ axes)[held] ** 2 / squares[held]).sum())
     return min(variance, 1 / known) if known > 0 else 0.0
 
 

@@ -18,7 +18,7 @@ from fvslam_graph.vo.m_estimator import m_estimator_covariance
 PIXEL_NOISE = 0.3  # pixels, of a displacement along each axis, where no motion has told it
 GROUND_REACH = 20.0  # heights; a guess at where something stands in front of the ground, for a camera above it,
 MIN_COMMON = 10  # tracks of known depth that tell a scale
-RATIO_ITERATIONS, CONVERGED = 10, 0.01  # at most, and deviations of a step after which nothing changes
+RATIO_ITERATIONS, CONVERGED = 10, 0.1  # at most, and deviations of a step after which nothing changes
 RATIO_KERNEL = 2.0  # deviations from which on tracks count for less
 UNKNOWN_DEPTH = 10.0  # and at how far away things are for one whose height is unknown, metres
 
