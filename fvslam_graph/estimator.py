@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -36,6 +37,8 @@ from fvslam_graph.slam.patch_finder import PatchFinder
 from fvslam_graph.slam.vslam import VSlam
 from fvslam_graph.vo.odometry import VisualOdometry
 from fvslam_graph.vo.online_calibration import CalibrationCorrection, OnlineCalibration
+
+_log = logging.getLogger(__name__)
 
 VO_STAGES = ("association", "pose", "scale", "detection")
 SLAM_STAGES = ("filter", "search", "map", "fusion")
@@ -103,6 +106,8 @@ class FrameEstimator:
 
     def finish(self) -> Ending | None:
         """What all frames together say; None where the mode does not smooth."""
+        if self.config.mode != Mode.VO and self._stamps and not self._vslam.started:
+            _log.warning("visual SLAM never began, for want of a map beyond doubt: all poses are those of odometry")
         with self._one_thread():
             return self._fusion.finish()
 

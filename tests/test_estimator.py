@@ -120,6 +120,15 @@ def test_visual_slam_starts_where_the_first_map_is_beyond_doubt():
     assert started[0] < started[1]  # measured 2 and 6
 
 
+def test_where_visual_slam_never_begins_the_run_says_so(caplog):
+    short = synthetic_sequence("uav", frames=4, size="320x240", seed=3, noise=8.0)
+    estimator = frame_estimator(short, load_config(settings=["mode=average"]))
+    results = list(through(estimator, short))
+    assert all(result.slam is None for result in results) and "never began" not in caplog.text
+    estimator.finish()
+    assert "never began" in caplog.text
+
+
 @pytest.mark.parametrize("interleave", [1, 5])
 def test_visual_slam_with_odometry_as_prior(flown, interleave):
     settings = ["mode=vslam", "slam.motion=odometry", f"slam.interleave={interleave}"]
