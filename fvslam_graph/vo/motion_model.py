@@ -14,6 +14,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
 UNKNOWN_VELOCITY = (1.0, 10.0)  # rad/s, m/s, standard deviations before anything was measured
 PRIOR_SAMPLES = 20  # for which the settings stand among the accelerations of the run
 MIN_ACCELERATION = 0.3  # of the settings: a smooth road is no promise
+LONGEST = 1e6  # seconds over which anything is predicted: damaged stamps may be any number
 LARGEST_SAMPLE = 3.0  # standard deviations that one of them may count for: a wrong motion teaches little
 
 
@@ -43,6 +44,7 @@ class ConstantVelocity:
 
     def distance(self, seconds: float) -> LogScale | None:
         """Length of the path over a time; None where the camera stood."""
+        seconds = min(seconds, LONGEST)
         metres = float(np.linalg.norm(self.twist[3:])) * seconds
         if metres < 1e-3:
             return None
@@ -60,6 +62,7 @@ class ConstantVelocity:
             passed: and how much of that is after what was taken over before; by default all.
             log_variance: Of its length.
         """
+        seconds = min(seconds, LONGEST)
         twist = gtsam.Pose3.Logmap(last_T_cur.mean) / seconds
         between = self._age + seconds / 2 if passed is None else self._age + passed - seconds / 2
         if self._known and between > 0:
@@ -80,10 +83,11 @@ class ConstantVelocity:
 
     def coast(self, seconds: float) -> None:
         """So much time has passed in which nothing was measured, and predictions start from there."""
-        self._age += seconds
+        self._age = min(self._age + seconds, LONGEST)
 
     def predict(self, seconds: float) -> GaussianPose:
         """Motion over a time; its covariance grows with the fourth power of the time since the last measurement."""
+        seconds = min(seconds, LONGEST)
         sigmas = self.accelerations * (self._age + seconds / 2) * seconds
         if not self._known:
             sigmas += seconds * np.repeat(UNKNOWN_VELOCITY, 3)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.quick import median
 
 _ROTATION_ITERATIONS = 4
-_MOST, _NOISE = 0.9, 3.0  # of the points; times what half of them have by noise alone, these have at most
+_MOST, _NOISE = 0.8, 2.0  # of the points; times what half of them have by noise, these have at most (1.5 if normal)
 
 
 def fit_rotation(
@@ -41,7 +41,8 @@ def fit_rotation(
 def hidden_parallax(unexplained: NDArray[np.float64]) -> float:
     """Pixels of parallax in which a translation may hide.
 
-    Half of the points may be on the horizon, whatever the camera does: the nearest tenth has its say.
+    Half of the points may be on the horizon, whatever the camera does: the nearest fifth has its say. That is more than
+    are wrong matches.
 
     Args:
         unexplained: (N,) image motion that no rotation explains, pixels.

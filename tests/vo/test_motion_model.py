@@ -92,3 +92,11 @@ def test_distance():
     assert scale.metres == pytest.approx(metres)
     # Relative to the distance, what the acceleration may add to it.
     assert scale.variance == pytest.approx(0.01 + (SETTINGS.max_acceleration * (0.05 + 0.15) * 0.3 / metres) ** 2)
+
+
+def test_damaged_stamps_leave_numbers_that_are_finite():
+    model = moving(log_variance=0.01)
+    model.coast(1e300)
+    for seconds in (1e300, 0.1):
+        assert np.isfinite(model.predict(seconds).covariance).all()
+        assert np.isfinite(model.distance(seconds).variance)
