@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from one_sentence import one_sentence
 
 from fvslam_graph.core.config import Config, load_config
+from fvslam_graph.core.errors import FvslamError
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.geodesy import LocalFrame
 from fvslam_graph.core.sensors import SensorSeries
@@ -91,7 +92,11 @@ def _gnss_row(sequence: Sequence, fixes: SensorSeries, config: Config) -> list[f
     estimator = frame_estimator(sequence, config)
     results = list(through(estimator, sequence))
     ending = estimator.finish()
-    assert ending is not None and ending.smoothed is not None and ending.placement is not None
+    assert ending is not None and ending.smoothed is not None
+    if ending.placement is None:
+        raise FvslamError(
+            f"{sequence.name}: too few fixes are right to tell where it lies on Earth; try --receiver 5:1.5"
+        )
     earth, place = LocalFrame(PLACE), LocalFrame(ending.placement.origin)
     known = truth.interpolate(sequence.stamps)
     path = place.enu(earth.geodetic(true_enu(known)))
