@@ -86,7 +86,8 @@ class VoEstimate:
         tracks: Those that agree with the motion.
         scale: Of the baseline between the two, and where it comes from; None where none was estimated.
         map: What is known of the depths of these tracks in this frame.
-        map_is_doubtful: Whether the map may be of the wrong one of two motions that explain a plane.
+        map_is_doubtful: Whether the map may be of the wrong one of two motions that explain a plane, so that nothing
+            should be built on it.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
         scale_known: Whether its length is in the scale of the run (metres, or that of the first motion); else it is a
             guess.

@@ -52,7 +52,7 @@ def relative_variance(motion: KeyframeMotion) -> float:
     return float(np.trace(pose.covariance[3:, 3:]) / max(np.sum(pose.mean.translation() ** 2), 1e-12))
 
 
-def of_either(motion: GaussianPose, depth: float) -> GaussianPose:
+def with_planar_ambiguity(motion: GaussianPose, depth: float) -> GaussianPose:
     """A motion that may be the wrong one of the two that explain a plane: it is as uncertain as it is large.
 
     Args:

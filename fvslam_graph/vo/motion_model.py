@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
 
+LONGEST = 1e6  # seconds over which anything is predicted: damaged stamps may be any number
 UNKNOWN_VELOCITY = (1.0, 10.0)  # rad/s, m/s, standard deviations before anything was measured
 PRIOR_SAMPLES = 20  # for which the settings stand among the accelerations of the run
 MIN_ACCELERATION = 0.3  # of the settings: a smooth road is no promise
-LONGEST = 1e6  # seconds over which anything is predicted: damaged stamps may be any number
 LARGEST_SAMPLE = 3.0  # standard deviations that one of them may count for: a wrong motion teaches little
 
 

@@ -29,7 +29,7 @@ from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
 from fvslam_graph.vo.depth import typical_depth
 from fvslam_graph.vo.ground_plane import GroundAligner
-from fvslam_graph.vo.keyframe_motion import KeyframeMotion, of_either, standing
+from fvslam_graph.vo.keyframe_motion import KeyframeMotion, standing, with_planar_ambiguity
 from fvslam_graph.vo.lost_keyframes import LostKeyframe, LostKeyframes
 from fvslam_graph.vo.motion_measurement import GUESS, Keyframe, MotionMeasurement, View
 from fvslam_graph.vo.motion_model import ConstantVelocity
@@ -131,20 +131,24 @@ class VisualOdometry:
         motion = self._gated(frame, measured)
         if motion is None:
             return replace(self._coast(frame, Status.COASTED), found=len(tracks), parallax=measured.parallax)
-        estimate = self._accept(frame, motion) if standing is None else self._accept_static(frame, motion)
+        accept = self._accept if standing is None else self._accept_static
+        estimate = replace(accept(frame, motion), found=len(tracks), parallax=motion.parallax)
+        return self._with_keyframe_updated(frame, motion, estimate)
+
+    def _with_keyframe_updated(self, frame: Frame, motion: KeyframeMotion, estimate: VoEstimate) -> VoEstimate:
+        """Make the image the keyframe, or take over what was learnt of the old one."""
+        assert self._keyframe is not None
         two_views = motion.scale is not None
         far = two_views and motion.parallax > self.settings.keyframe_parallax
+        clear = two_views and motion.parallax > CLEAR_PARALLAX * motion.noise
         weak = self._keyframe.map_is_weak and not far
-        doubtful = weak and not (two_views and motion.parallax > CLEAR_PARALLAX * motion.noise)
-        estimate = replace(estimate, found=len(tracks), parallax=motion.parallax, map_is_doubtful=doubtful)
-
         worn_out = self._measurement.is_worn_out(self._keyframe, motion.tracks)
-        if standing is None and (far or worn_out):
+        if estimate.status is not Status.STATIC and (far or worn_out):
             self._set_keyframe(frame, motion.tracks, estimate.map, weak)
         else:  # motions from this keyframe go on in the scale of what was triangulated
             known = self._keyframe.map if motion.scale is None else motion.map
             self._keyframe = replace(self._keyframe, map=known, map_is_weak=weak)
-        return estimate
+        return replace(estimate, map_is_doubtful=weak and not clear)
 
     def recalibrate(self, frame: Frame, estimate: VoEstimate) -> None:
         """Go on with images that are rectified otherwise.
@@ -227,7 +231,7 @@ class VisualOdometry:
         passed = frame.stamp - self._last_stamp
         measured = motion.keyframe_T_cur
         if self._keyframe.map_is_weak:
-            measured = of_either(measured, self._typical_depth(self._keyframe))
+            measured = with_planar_ambiguity(measured, self._typical_depth(self._keyframe))
         self._motion_model.observe(measured, seconds, motion.map.variance, passed)
         self._keyframe_T_last, self._last_stamp = motion.keyframe_T_cur, frame.stamp
         self._seen, self._failures, self._coasted = motion.tracks, 0, 0
@@ -287,7 +291,7 @@ class VisualOdometry:
                 self._keyframe, self._last_stamp, self._scale_known = lost.keyframe, lost.stamp, lost.scale_known
                 estimate = self._accept(frame, motion)
                 self._set_keyframe(frame, motion.tracks, estimate.map, lost.keyframe.map_is_weak)
-                return estimate
+                return replace(estimate, map_is_doubtful=lost.keyframe.map_is_weak)
         return None
 
     def _return_to(self, lost: LostKeyframe, frame: Frame) -> KeyframeMotion | None:

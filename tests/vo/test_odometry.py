@@ -196,7 +196,7 @@ def test_a_camera_does_not_stand_because_most_points_are_on_the_horizon(camera):
     assert statuses(estimates[1:]) == [Status.TRACKED] * 3
     for index, estimate in enumerate(estimates[1:], start=1):
         error = 0.8 * index - estimate.prev_T_cur.mean.translation()[2]
-        assert abs(error) < 4 * math.sqrt(estimate.prev_T_cur.covariance[5, 5])  # measured 2.1 to 3.1
+        assert abs(error) < 4 * math.sqrt(estimate.prev_T_cur.covariance[5, 5])  # measured 1.2 to 2.7
 
 
 def turned(camera, image: np.ndarray, rotation: gtsam.Rot3, seed: int) -> np.ndarray:
