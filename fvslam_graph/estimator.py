@@ -28,7 +28,7 @@ from fvslam_graph.core.slam_estimate import LandmarkObservations, MatchOutcome, 
 from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.tracks import FeatureTracker, Tracks
 from fvslam_graph.core.trajectory import Status
-from fvslam_graph.core.vo_estimate import VoEstimate
+from fvslam_graph.core.vo_estimate import OdometryMotion, VoEstimate
 from fvslam_graph.fusion.fusion import Fusion, RuleFusion, SlamAlone
 from fvslam_graph.fusion.graph_fusion import GraphFusion
 from fvslam_graph.fusion.rules import Average, FusionRule, Intersection, OutsideRule
@@ -174,7 +174,8 @@ class FrameEstimator:
             return None
         if points.log_variance >= UNINFORMATIVE_VARIANCE and not self.config.scale.relative:
             return None
-        return self._vslam.start(frame, self._fusion.pose, odometry.prev_T_cur, seconds, points)
+        motion = OdometryMotion.of(odometry.prev_T_cur, points.log_variance)
+        return self._vslam.start(frame, self._fusion.pose, motion, seconds, points)
 
     def _followed(self, odometry: VoEstimate | None) -> KnownPoints | None:
         """What landmarks are followed by between two turns of visual SLAM."""

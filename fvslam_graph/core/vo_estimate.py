@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,6 +58,8 @@ class OdometryStep:
         prev_T_cur: The motion.
         scale: What was learnt of its scale; None where it has that of the map in the earlier frame.
         scale_variance: How much of its covariance is due to the logarithm of the scale; 0 where that is not known.
+        map_variance: Variance of the logarithm of the scale of the map, which a motion that has hardly a length does
+            not hold; 0 without a map.
         awaited: Frames besides this one and the previous one, against which motions to come may be measured.
         measured: Whether images tell it; a motion model's has no noise in common with others.
         J_calibration: (6, 2) how it changes with the logarithm of the focal length and with k1, in its tangent.
@@ -67,10 +70,44 @@ class OdometryStep:
     prev_T_cur: GaussianPose
     scale: ScaleStep | None = None
     scale_variance: float = 0.0
+    map_variance: float = 0.0
     awaited: tuple[int, ...] = ()
     measured: bool = True
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
     calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+
+
+@dataclass(frozen=True)
+class OdometryMotion:
+    """Where odometry has gone over some frames, apart from what its scale errs by.
+
+    The error of the logarithm of its scale is a Markov chain: as far as the scale was measured meanwhile, it has
+    nothing in common with what it was before.
+
+    Attributes:
+        pose: prev_T_cur, as certain as it is in this scale.
+        J_scale: (6,) how it changes with the logarithm of the scale, in its tangent.
+        scale_kept: Share of the scale's error at the beginning that is left at the end,
+        scale_added: and the variance of what has come to it.
+    """
+
+    pose: GaussianPose
+    J_scale: NDArray[np.float64]
+    scale_kept: float
+    scale_added: float
+
+    @classmethod
+    def of(cls, prev_T_cur: GaussianPose, variance: float) -> OdometryMotion:
+        """A motion with all its uncertainty, in a scale whose logarithm has this variance, and that is new."""
+        share = prev_T_cur.room_for_scale(variance) / variance if variance > 0 else 0.0
+        return cls(prev_T_cur.with_scale_variance(-(share**2) * variance), share * prev_T_cur.travel, 0.0, variance)
+
+    def longer(self, factor: float) -> OdometryMotion:
+        """The same with all lengths so many times as long."""
+        stretch = np.repeat([1.0, factor], 3)
+        mean = gtsam.Pose3(self.pose.mean.rotation(), factor * self.pose.mean.translation())
+        pose = GaussianPose(mean, self.pose.covariance * np.outer(stretch, stretch))
+        return replace(self, pose=pose, J_scale=stretch * self.J_scale)
 
 
 @dataclass(frozen=True)
@@ -125,6 +162,7 @@ class VoEstimate:
             self.prev_T_cur,
             self.scale,
             self.prev_T_cur.room_for_scale(self.map.variance),
+            self.map.variance,
             self.awaited,
             measured,
             self.J_calibration,

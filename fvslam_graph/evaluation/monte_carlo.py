@@ -16,6 +16,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import SlamEstimate
 from fvslam_graph.core.trajectory import Status
+from fvslam_graph.core.vo_estimate import OdometryMotion
 from fvslam_graph.estimator import FrameEstimator, FrontEnd, through
 from fvslam_graph.evaluation.nees import Consistency, consistency
 from fvslam_graph.fusion.rules import FusionRule, OutsideRule
@@ -64,7 +65,8 @@ def run_vslam(
     moved = poses[0].between(poses[1]).retract(sigmas * rng.standard_normal(6))
     start = GaussianPose(poses[1], np.zeros((6, 6)))
     points = known_points(scene, 1, depth_sigma, scale_sigma, rng)
-    yield vslam.start(frame_of(scene, 1), start, GaussianPose(moved, np.diag(sigmas**2)), seconds, points)
+    motion = OdometryMotion(GaussianPose(moved, np.diag(sigmas**2)), np.zeros(6), 0.0, scale_sigma**2)
+    yield vslam.start(frame_of(scene, 1), start, motion, seconds, points)
     for index in range(2, len(scene)):
         yield vslam.step(frame_of(scene, index))
 

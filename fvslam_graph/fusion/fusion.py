@@ -9,7 +9,7 @@ from fvslam_graph.core.frame_result import Ending
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import LandmarkObservations
-from fvslam_graph.core.vo_estimate import CalibrationEvidence, OdometryStep
+from fvslam_graph.core.vo_estimate import CalibrationEvidence, OdometryMotion, OdometryStep
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 from fvslam_graph.fusion.rules import FusionRule
 
@@ -27,9 +27,9 @@ class Fusion(ABC):
         return self._reference.total
 
     @property
-    def motion(self) -> GaussianPose:
+    def motion(self) -> OdometryMotion:
         """Motion since P_f, by odometry."""
-        return self._chain.motion.pose
+        return self._chain.motion_in_scale
 
     @property
     def pose(self) -> GaussianPose:

@@ -118,7 +118,7 @@ class GraphFusion(Fusion):
             self._step = self._step + self._left * (expected - self.reference.mean.translation())
         self._published[self._newest] = self.reference.mean.translation()
         self._enu = self.graph.enu_T_camera(self._newest)
-        return self.motion if fused is None else fused
+        return self._chain.motion.total if fused is None else fused
 
     def _earlier_pose(self, frame: int) -> GaussianPose | None:
         """The online pose of the frame where motions started before the last P_f; None of others or beyond the lag."""

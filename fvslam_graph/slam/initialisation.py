@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.slam.covariances import extended, selected
 from fvslam_graph.slam.inverse_depth import Array, angles
-from fvslam_graph.slam.state import FIXED, PART, SCALE, State
+from fvslam_graph.slam.state import FIXED, ODOMETRY, PART, SCALE, State
 
 NEIGHBOURHOOD = 0.1  # of the image's width: landmarks this near to a pixel tell most about its depth
 
@@ -31,14 +32,15 @@ class DepthPrior:
     J_state: Array
 
 
-def known_depths(points: KnownPoints, camera: Camera, size: int) -> DepthPrior:
-    """From points of known depth, which share a scale and the errors of a motion; `size` is n."""
+def known_depths(points: KnownPoints, camera: Camera, state: State) -> DepthPrior:
+    """From points of known depth, which share the scale of odometry and the errors of a motion."""
     stretch = np.linalg.norm(np.column_stack([camera.normalize(points.pixels), np.ones(len(points))]), axis=1)
-    inverse = points.inverse_depths / stretch  # distances are longer than depths
-    common = np.column_stack([points.common / stretch[:, None], np.sqrt(points.log_variance) * inverse])
+    stretch *= math.exp(state.odometry_scale)  # as distances are longer than depths
+    inverse, common = points.inverse_depths / stretch, points.common / stretch[:, None]
     covariance = np.diag((points.sigmas / stretch) ** 2) + common @ common.T
-    J_state = np.zeros((len(points), size))
-    J_state[:, SCALE] = inverse  # depths are metric, and the map is uncertain of its scale
+    # Depths are metric but for the scale of odometry, and the map is uncertain of its own.
+    J_state = np.zeros((len(points), len(state.covariance)))
+    J_state[:, SCALE], J_state[:, ODOMETRY] = inverse, -inverse
     return DepthPrior(inverse, covariance, J_state)
 
 

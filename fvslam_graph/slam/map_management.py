@@ -117,7 +117,7 @@ class MapManager:
     ) -> State:
         size, spread = len(state.covariance), self.settings.depth_spread
         if points is not None:
-            prior = known_depths(points, self.camera, size)
+            prior = known_depths(points, self.camera, state)
         else:
             prior = depths_from_map(state, pixels, self.camera, spread) or equal_depths(
                 len(pixels), self.distance, spread, size

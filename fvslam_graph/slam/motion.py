@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import gtsam
@@ -9,9 +10,10 @@ import numpy as np
 
 from fvslam_graph.core.config import SlamSettings
 from fvslam_graph.core.gaussian_pose import GaussianPose
+from fvslam_graph.core.vo_estimate import OdometryMotion
 from fvslam_graph.slam.covariances import sparse_rows, symmetric, transformed
 from fvslam_graph.slam.inverse_depth import Array, inverse_depth_seen_from, points_seen_from
-from fvslam_graph.slam.state import FIXED, POSE, SCALE, VELOCITY, State
+from fvslam_graph.slam.state import FIXED, ODOMETRY, POSE, SCALE, VELOCITY, State
 
 SCALE_WALK = 0.04  # of log scale
 
@@ -41,18 +43,24 @@ def with_scale_walk(state: State, renewed: float) -> State:
     return replace(state, covariance=covariance)
 
 
-def predict_from_odometry(state: State, prev_T_cur: GaussianPose, seconds: float) -> State:
+def predict_from_odometry(state: State, odometry: OdometryMotion, seconds: float) -> State:
     """The velocity of the next step: what visual odometry measured over it (Alcantarilla et al. 2010)."""
-    velocity = gtsam.Pose3.Logmap(prev_T_cur.mean) / seconds
-    J_motion = gtsam.Pose3.LogmapDerivative(prev_T_cur.mean) / seconds
-    # Odometry is metric: in units of the map, it is as uncertain as these.
-    J_scale = -velocity * (0, 0, 0, 1, 1, 1)
     P = state.covariance.copy()
-    P[VELOCITY] = np.outer(J_scale, P[SCALE])
+    P[ODOMETRY] *= odometry.scale_kept
+    P[:, ODOMETRY] *= odometry.scale_kept
+    P[ODOMETRY, ODOMETRY] += odometry.scale_added
+    odometry_scale = odometry.scale_kept * state.odometry_scale
+
+    motion = odometry.longer(math.exp(odometry_scale))
+    velocity = gtsam.Pose3.Logmap(motion.pose.mean) / seconds
+    J_motion = gtsam.Pose3.LogmapDerivative(motion.pose.mean) / seconds
+    # Odometry is metric but for its own scale: in units of the map, it is as uncertain as these.
+    J_scales = np.column_stack([-velocity * (0, 0, 0, 1, 1, 1), J_motion @ motion.J_scale])
+    P[VELOCITY] = J_scales @ P[[SCALE, ODOMETRY]]
     P[:, VELOCITY] = P[VELOCITY].T
-    P_new = P[SCALE, SCALE] * np.outer(J_scale, J_scale) + J_motion @ prev_T_cur.covariance @ J_motion.T
+    P_new = P[VELOCITY, [SCALE, ODOMETRY]] @ J_scales.T + J_motion @ motion.pose.covariance @ J_motion.T
     P[VELOCITY, VELOCITY] = symmetric(P_new)
-    return replace(state, velocity=velocity, covariance=P)
+    return replace(state, velocity=velocity, odometry_scale=odometry_scale, covariance=P)
 
 
 def motion_from_velocity(velocity: Array, seconds: float) -> tuple[gtsam.Pose3, Array]:
@@ -72,7 +80,7 @@ def compose(state: State, seconds: float) -> State:
     fixed = np.arange(FIXED)[None]
     J_scale = np.concatenate([np.zeros(3), translation @ rotation])[:, None]
     change = [
-        (np.hstack([prev_T_cur.inverse().AdjointMap(), J_scale, J_velocity])[None], fixed),
+        (np.hstack([prev_T_cur.inverse().AdjointMap(), J_scale, J_velocity])[None], fixed[:, : VELOCITY.stop]),
         (np.eye(FIXED)[None, SCALE:], fixed),
     ]
     for (J_motion, J_part), rows in zip((J_anchors, J_inverse_depth, J_points), state.parts, strict=True):
@@ -93,7 +101,8 @@ def last_motion(state: State, seconds: float) -> GaussianPose:
     prev_T_cur, J_velocity = motion_from_velocity(state.velocity, seconds)
     J_scale = np.concatenate([np.zeros(3), prev_T_cur.rotation().unrotate(prev_T_cur.translation())])
     jacobian = np.column_stack([J_scale, J_velocity])
-    return GaussianPose(prev_T_cur, symmetric(jacobian @ state.covariance[SCALE:FIXED, SCALE:FIXED] @ jacobian.T))
+    scaled_velocity = state.covariance[SCALE : VELOCITY.stop, SCALE : VELOCITY.stop]
+    return GaussianPose(prev_T_cur, symmetric(jacobian @ scaled_velocity @ jacobian.T))
 
 
 def reanchored(state: State, pose: GaussianPose) -> State:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from fvslam_graph.slam.covariances import each_transformed, extended, selected
 from fvslam_graph.slam.inverse_depth import Array, to_points
 
-POSE, SCALE, VELOCITY, FIXED = slice(0, 6), 6, slice(7, 13), 13  # rows of the error state before the landmarks
+# Rows of the error state before the landmarks.
+POSE, SCALE, VELOCITY, ODOMETRY, FIXED = slice(0, 6), 6, slice(7, 13), 13, 14
 PART = 3  # numbers of an anchor, of a ray and of a point, in the error state
 _GROWTH = np.array([0, 0, -1])  # of a ray, with the scale
 MIN_LOG_VARIANCE = 1e-6  # of a log distance, so that no landmark stands for the whole map
@@ -29,12 +30,16 @@ class State:
     Source: Castellanos, Martinez-Cantin, Tardos, Neira, "Robocentric map joining", RAS 55(1), 2007.
 
     The error state is the right perturbation of the pose (6), the logarithm of the scale (1), the error of the velocity
-    (6) and those of the anchors, the rays and the points (3 each). The pose's error is thus one of the world as seen
-    from the camera. Landmarks in inverse depth that began in the same frame have their anchor in common.
+    (6), that of odometry's scale (1), and those of the anchors, the rays and the points (3 each). The pose's error is
+    thus one of the world as seen from the camera. Landmarks in inverse depth that began in the same frame have their
+    anchor in common.
 
     Velocity and landmarks are known up to a scale, which images tell nothing about. It has a row of its own, whose
     Jacobian in every image measurement is zero, wherever that is linearised. Were it hidden in the other rows, each
     new linearisation would seem to observe a little of it, and the filter would be sure of a scale that drifts.
+
+    Odometry hands over motions and depths that err by the same scale, now and at the next step. Were they independent,
+    the filter would be sure of their mean, or, where odometry's scale is doubtful, trust neither.
 
     Attributes:
         world_T_camera: Camera pose, metres.
@@ -44,6 +49,7 @@ class State:
         anchor_of: (M,) the row of each one's anchor.
         points: (L, 3) landmarks as points in the camera, metres.
         ids: (M + L,) of all landmarks, in the order of the state.
+        odometry_scale: Logarithm of true over odometry's lengths.
         covariance: (n, n) of the error state, symmetric positive semi-definite.
     """
 
@@ -54,6 +60,7 @@ class State:
     anchor_of: NDArray[np.intp]
     points: Array
     ids: NDArray[np.int64]
+    odometry_scale: float
     covariance: Array
 
     def __post_init__(self) -> None:
@@ -70,7 +77,7 @@ class State:
         P[POSE, POSE] = covariance
         none = np.empty((0, PART))
         ids, rows = np.empty(0, np.int64), np.empty(0, np.intp)
-        return cls(world_T_camera, np.zeros(6), none, none, rows, none, ids, P)
+        return cls(world_T_camera, np.zeros(6), none, none, rows, none, ids, 0.0, P)
 
     @cached_property
     def anchored_inverse_depth(self) -> Array:
@@ -127,7 +134,8 @@ class State:
     def J_scale(self) -> Array:
         """(n,) how velocity and landmarks grow with the logarithm of their scale; zero for the pose."""
         velocity, inverse_depth = self.velocity * (0, 0, 0, 1, 1, 1), self.inverse_depth * _GROWTH
-        return np.concatenate([np.zeros(7), velocity, self.anchors.ravel(), inverse_depth.ravel(), self.points.ravel()])
+        landmarks = (self.anchors.ravel(), inverse_depth.ravel(), self.points.ravel())
+        return np.concatenate([np.zeros(7), velocity, np.zeros(1), *landmarks])
 
     def retract(self, error: Array) -> State:
         """The state changed by an error state (n,); the covariance stays."""
@@ -140,6 +148,7 @@ class State:
             anchors=(self.anchors + anchors) * growth,
             inverse_depth=(self.inverse_depth + inverse_depth) * growth**_GROWTH,
             points=(self.points + points) * growth,
+            odometry_scale=self.odometry_scale + float(error[ODOMETRY]),
         )
 
     def with_scale_decoupled(self) -> State:

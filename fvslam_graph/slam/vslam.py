@@ -18,6 +18,7 @@ from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import LandmarkMatches, Landmarks, MatchOutcome, SlamEstimate
 from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.trajectory import Status
+from fvslam_graph.core.vo_estimate import OdometryMotion
 from fvslam_graph.features.patches import MARGIN
 from fvslam_graph.slam.covariances import keep_memory
 from fvslam_graph.slam.inverse_depth import Array
@@ -35,7 +36,7 @@ from fvslam_graph.slam.motion import (
 )
 from fvslam_graph.slam.one_point_ransac import low_innovation_inliers
 from fvslam_graph.slam.sighting import Remembered, Sighting
-from fvslam_graph.slam.state import POSE, SCALE, VELOCITY, State
+from fvslam_graph.slam.state import ODOMETRY, POSE, SCALE, VELOCITY, State
 
 MAX_FAILURES = 3  # images in a row without enough matches before the map is rebuilt
 MIN_CANDIDATES = 10  # corners that an image has at least, for a map to be built on it
@@ -89,25 +90,26 @@ class VSlam:
         return followed
 
     def start(
-        self, frame: Frame, pose: GaussianPose, prev_T_cur: GaussianPose, seconds: float, points: KnownPoints
+        self, frame: Frame, pose: GaussianPose, odometry: OdometryMotion, seconds: float, points: KnownPoints
     ) -> SlamEstimate:
         """Begin, or begin anew, with landmarks among points of known depth.
 
         Args:
             frame: The first frame.
             pose: world_T_camera of this frame.
-            prev_T_cur: The motion that led there, which tells the velocity,
+            odometry: The motion that led there, which tells the velocity,
             seconds: and the time that it took.
-            points: Of this frame.
+            points: Of this frame, in the same scale.
         """
         self._stopwatch = Stopwatch()
         self._failures, self._seen = 0, None
-        state = predict_from_odometry(State.at(pose.mean, pose.covariance), prev_T_cur, seconds)
+        state = predict_from_odometry(State.at(pose.mean, pose.covariance), odometry, seconds)
+        motion = last_motion(state, seconds)
         state = self._map.add_landmarks(state, frame, points, self._map_T_camera)
-        return self._arrive(frame, state, prev_T_cur, LandmarkMatches.none(), Status.TRACKED, frame.index)
+        return self._arrive(frame, state, motion, LandmarkMatches.none(), Status.TRACKED, frame.index)
 
     def step(
-        self, frame: Frame, odometry: GaussianPose | None = None, points: KnownPoints | None = None
+        self, frame: Frame, odometry: OdometryMotion | None = None, points: KnownPoints | None = None
     ) -> SlamEstimate:
         """Estimate the pose of the next frame, after `start`; frames come in the order of their stamps.
 
@@ -134,9 +136,8 @@ class VSlam:
             self._seen = before
         with self._stopwatch.stage("map"):
             state = self._brought_up_to_date(sighting.state, frame, sighting.matches, status, points)
-            if odometry is None:  # which knows the scale better
-                new = ~np.isin(state.ids, sighting.state.ids)
-                state = with_scale_walk(state, float(new.mean()) if len(new) else 0.0)
+            new = ~np.isin(state.ids, sighting.state.ids)
+            state = with_scale_walk(state, float(new.mean()) if len(new) else 0.0)
             estimate = self._arrive(frame, state, sighting.motion, sighting.matches, status, sighting.previous)
         if status is Status.COASTED and textured:
             return replace(estimate, pose=estimate.pose.after_loss(self._map.distance))
@@ -146,7 +147,7 @@ class VSlam:
         self,
         frame: Frame,
         before: Remembered,
-        odometry: GaussianPose | None,
+        odometry: OdometryMotion | None,
         points: KnownPoints | None,
         noise_inflation: float,
     ) -> Sighting:
@@ -273,7 +274,9 @@ class VSlam:
         pose = GaussianPose(state.world_T_camera, state.covariance[POSE, POSE]).after_loss(distance)
         alone = State.at(pose.mean, pose.covariance)
         alone.covariance[SCALE, SCALE] = UNKNOWN_SCALE**2
-        return predict_from_odometry(alone, travel, 1.0)
+        alone.covariance[ODOMETRY, ODOMETRY] = state.covariance[ODOMETRY, ODOMETRY]
+        alone = replace(alone, odometry_scale=state.odometry_scale)
+        return predict_from_odometry(alone, OdometryMotion(travel, np.zeros(6), 1.0, 0.0), 1.0)
 
     def _arrive(
         self,

@@ -65,7 +65,7 @@ def test_corrections_are_taken_up_over_an_interval():
             fusion.fuse(GaussianPose.identity(), GaussianPose.identity(), None)
             step = before - fusion.reference.mean.translation()
         if index >= 6:
-            carried_on = fusion.reference.compose(fusion.motion).mean.translation()
+            carried_on = fusion.reference.compose(fusion.motion.pose).mean.translation()
             left.append(np.linalg.norm(fusion.pose.mean.translation() - carried_on))
     assert np.linalg.norm(step) > 0.1
     assert left == pytest.approx(np.linalg.norm(step) * np.exp(-np.arange(1, 9) / 5), rel=1e-6)

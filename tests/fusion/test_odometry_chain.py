@@ -4,8 +4,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.core.gaussian_pose import GaussianPose
-from fvslam_graph.core.vo_estimate import OdometryStep
+from fvslam_graph.core.gaussian_pose import GaussianPose, LogScale
+from fvslam_graph.core.vo_estimate import OdometryStep, ScaleStep
 from fvslam_graph.evaluation.nees import nees
 from fvslam_graph.fusion.odometry_chain import OdometryChain
 
@@ -107,6 +107,52 @@ def test_a_motion_from_a_frame_that_was_lost(anchored):
     assert chain.motion.total.mean.equals(expected, 1e-9)
     # What was vague does not matter any more, unless the anchor is where it ended.
     assert bool(np.trace(chain.motion.total.covariance) > 100) == anchored
+
+
+def scaled_step(previous: int, filtered: float, added: float, room: float | None = None) -> OdometryStep:
+    """A metre ahead in a scale whose log variance was `filtered` after `added` was added to it."""
+    pose = GaussianPose(gtsam.Pose3(gtsam.Rot3(), (0.0, 0.0, 1.0)), 1e-6 * np.eye(6))
+    scale = ScaleStep(LogScale(0.0, filtered), LogScale(0.0, added), LogScale(0.0, 1.0))
+    held = filtered if room is None else room
+    return OdometryStep(previous, pose.with_scale_variance(held), scale, held, filtered)
+
+
+def test_the_error_of_the_scale_is_a_chain():
+    """That of a Kalman filter: its covariance after some steps with that before, by simulation of its gains."""
+    chain, variance = OdometryChain(), 0.0
+    chain.add(0, OdometryStep(0, GaussianPose.identity()))
+    rng, errors = np.random.default_rng(0), np.zeros(200_000)
+    for index in range(1, 9):
+        added, noise = 0.02**2, 0.05**2 if index > 2 else np.inf  # the source begins to speak
+        gain = (variance + added) / (variance + added + noise)
+        variance = (1 - gain) * (variance + added)
+        errors = (1 - gain) * (errors + np.sqrt(added) * rng.standard_normal(len(errors)))
+        if gain > 0:
+            errors = errors + gain * np.sqrt(noise) * rng.standard_normal(len(errors))
+        chain.add(index, scaled_step(index - 1, variance, added))
+        if index == 3:
+            chain.anchor()
+            before = errors
+    motion = chain.motion_in_scale
+    assert motion.scale_kept == pytest.approx(np.mean(before * errors) / np.mean(before**2), abs=0.02)
+    assert motion.scale_added == pytest.approx(np.mean((errors - motion.scale_kept * before) ** 2), rel=0.02)
+
+
+def test_a_motion_and_what_its_scale_errs_are_all_that_it_errs():
+    chain = OdometryChain()
+    chain.add(0, OdometryStep(0, GaussianPose.identity()))
+    for index in range(1, 4):
+        chain.add(index, scaled_step(index - 1, 0.1**2, 0.0))
+    motion = chain.motion_in_scale
+    assert motion.J_scale == pytest.approx([0, 0, 0, 0, 0, 3.0])
+    assert motion.pose.covariance[5, 5] == pytest.approx(3e-6)
+    total = motion.pose.covariance + 0.1**2 * np.outer(motion.J_scale, motion.J_scale)
+    assert total == pytest.approx(chain.motion.total.covariance)
+    chain.anchor()
+    chain.add(4, scaled_step(3, 1.0, 0.0, room=0.01))  # hardly a length: however doubtful the scale, it errs by 10 %
+    motion = chain.motion_in_scale
+    assert motion.J_scale == pytest.approx([0, 0, 0, 0, 0, 0.01])
+    assert motion.pose.covariance[5, 5] == pytest.approx(0.01 + 1e-6 - 0.01**2)
 
 
 def test_an_anchor_that_something_else_knows_better():

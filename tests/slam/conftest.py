@@ -57,6 +57,7 @@ def difference(before: State, after: State) -> Array:
             before.world_T_camera.localCoordinates(after.world_T_camera),
             [0.0],
             after.velocity - before.velocity,
+            [after.odometry_scale - before.odometry_scale],
             (after.anchors - before.anchors).ravel(),
             (after.inverse_depth - before.inverse_depth).ravel(),
             (after.points - before.points).ravel(),

@@ -8,7 +8,7 @@ import pytest
 from fvslam_graph.core.known_points import KnownPoints
 from fvslam_graph.slam.initialisation import depths_from_map, equal_depths, known_depths, with_new_landmarks
 from fvslam_graph.slam.measurement import PixelModel, predict_pixels
-from fvslam_graph.slam.state import SCALE
+from fvslam_graph.slam.state import ODOMETRY, SCALE
 
 from .conftest import agrees, numeric
 
@@ -77,31 +77,39 @@ def test_landmarks_as_far_as_the_map_tell_nothing_of_its_scale(random_state, cam
 
 
 def test_known_depths_are_metric(random_state, camera):
-    state = random_state(0)
+    """But for the scale of odometry."""
+    state = replace(random_state(0), odometry_scale=0.1)
+    known = np.ones(len(state.covariance))
+    known[ODOMETRY] = 0.0
+    state = replace(state, covariance=state.covariance * np.outer(known, known) + 0.03**2 * np.diag(1 - known))
     depths, sigmas = np.array([0.1, 0.2, 0.5]), np.array([0.01, 0.01, 0.02])
     points = KnownPoints(IDS, PIXELS, depths, sigmas, np.zeros((3, 0)), 0.03**2)
-    prior = known_depths(points, camera, len(state.covariance))
+    prior = known_depths(points, camera, state)
     stretch = np.linalg.norm(np.column_stack([camera.normalize(PIXELS), np.ones(3)]), axis=1)
+    stretch *= np.exp(0.1)
     assert prior.inverse == pytest.approx(points.inverse_depths / stretch)
-    assert np.diag(prior.covariance) == pytest.approx((points.sigmas / stretch) ** 2 + (0.03 * prior.inverse) ** 2)
+    assert np.diag(prior.covariance) == pytest.approx((points.sigmas / stretch) ** 2)
     # However uncertain the map's scale is, a known depth is as certain as it was told.
     uncertain = replace(state, covariance=state.covariance + 0.5 * np.diag(np.eye(len(state.covariance))[SCALE]))
     grown = with_new_landmarks(uncertain, IDS, PIXELS, prior, camera, 1e-6)
     new = np.isin(grown.ids, IDS)
     depth_variance = grown.position_covariances()[new][:, 2, 2]
     expected = (points.sigmas / points.inverse_depths**2) ** 2 + (0.03 / points.inverse_depths) ** 2
-    assert depth_variance == pytest.approx(expected, rel=0.05)
+    assert depth_variance == pytest.approx(np.exp(0.2) * expected, rel=0.05)
 
 
 def test_known_depths_share_the_errors_of_a_motion(random_state, camera):
     common = np.random.default_rng(0).normal(0, 0.01, (3, 5))
     points = KnownPoints(IDS, PIXELS, np.array([0.1, 0.2, 0.5]), np.full(3, 0.01), common, 0.0)
     state = random_state(0)
-    grown = with_new_landmarks(state, IDS, PIXELS, known_depths(points, camera, len(state.covariance)), camera, 0.5)
+    grown = with_new_landmarks(state, IDS, PIXELS, known_depths(points, camera, state), camera, 0.5)
     grown.check()
     stretch = np.linalg.norm(np.column_stack([camera.normalize(PIXELS), np.ones(3)]), axis=1)
     rows = grown.parts[1][np.isin(grown.ids[: len(grown.inverse_depth)], IDS), 2]
-    uncertain_scale = np.outer(points.inverse_depths, points.inverse_depths) * state.covariance[SCALE, SCALE]
+    J_scale = np.zeros(len(state.covariance))
+    J_scale[[SCALE, ODOMETRY]] = 1.0, -1.0
+    scale_variance = J_scale @ state.covariance @ J_scale
+    uncertain_scale = np.outer(points.inverse_depths, points.inverse_depths) * scale_variance
     expected = (1e-4 * np.eye(3) + common @ common.T + uncertain_scale) / np.outer(stretch, stretch)
     assert grown.covariance[np.ix_(rows, rows)] == pytest.approx(expected)
 

@@ -12,6 +12,7 @@ from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.slam_estimate import MatchOutcome
 from fvslam_graph.core.trajectory import Status
+from fvslam_graph.core.vo_estimate import OdometryMotion
 from fvslam_graph.evaluation.monte_carlo import frame_of, pose_errors, run_vslam
 from fvslam_graph.evaluation.nees import nees, nees_band
 from fvslam_graph.simulation.points import simulate_drive, simulate_flight
@@ -110,7 +111,8 @@ def begun(scene, finder, settings=NOISY, seed=0):
     poses = scene.trajectory.poses
     moved = GaussianPose(poses[0].between(poses[1]), np.diag(np.repeat([0.01, 0.03], 3) ** 2))
     points = known_points(scene, 1, 0.05, 0.0, np.random.default_rng(seed))
-    vslam.start(frame_of(scene, 1), GaussianPose(poses[1], np.zeros((6, 6))), moved, 0.1, points)
+    start = GaussianPose(poses[1], np.zeros((6, 6)))
+    vslam.start(frame_of(scene, 1), start, OdometryMotion.of(moved, points.log_variance), 0.1, points)
     return vslam
 
 
@@ -203,7 +205,11 @@ def test_odometry_as_prior_bridges_an_interval():
     for index in range(6, 60, 5):
         moved = poses[last].between(poses[index]).retract(sigmas * rng.standard_normal(6))
         points = known_points(scene, index, 0.05, 0.0, rng)
-        estimate = vslam.step(frame_of(scene, index), GaussianPose(moved, np.diag(sigmas**2)), points)
+        estimate = vslam.step(
+            frame_of(scene, index),
+            OdometryMotion(GaussianPose(moved, np.diag(sigmas**2)), np.zeros(6), 1.0, 0.0),
+            points,
+        )
         last = index
         assert estimate.status is Status.TRACKED
         error = gtsam.Pose3.Logmap(estimate.prev_T_cur.mean.between(poses[estimate.previous].between(poses[index])))
