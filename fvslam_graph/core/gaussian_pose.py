@@ -52,6 +52,12 @@ class GaussianPose:
         """The same with so much more variance of the logarithm of its length; less, where it is negative."""
         return GaussianPose(self.mean, self.covariance + variance * np.outer(self.travel, self.travel))
 
+    def longer(self, factor: float) -> GaussianPose:
+        """The same with all lengths so many times as long."""
+        stretch = np.repeat([1.0, factor], 3)
+        mean = gtsam.Pose3(self.mean.rotation(), factor * self.mean.translation())
+        return GaussianPose(mean, self.covariance * np.outer(stretch, stretch))
+
     def room_for_scale(self, variance: float) -> float:
         """Variance of the logarithm of its length, at most what its covariance holds; of no length, any."""
         return _room(variance, self.travel, self.covariance) if self.travel.any() else variance

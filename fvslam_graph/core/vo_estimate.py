@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,6 +75,11 @@ class OdometryStep:
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
     calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
 
+    def longer(self, factor: float) -> OdometryStep:
+        """The same with all lengths so many times as long."""
+        J_calibration = np.repeat([1.0, factor], 3)[:, None] * self.J_calibration
+        return replace(self, prev_T_cur=self.prev_T_cur.longer(factor), J_calibration=J_calibration)
+
 
 @dataclass(frozen=True)
 class OdometryMotion:
@@ -104,10 +108,7 @@ class OdometryMotion:
 
     def longer(self, factor: float) -> OdometryMotion:
         """The same with all lengths so many times as long."""
-        stretch = np.repeat([1.0, factor], 3)
-        mean = gtsam.Pose3(self.pose.mean.rotation(), factor * self.pose.mean.translation())
-        pose = GaussianPose(mean, self.pose.covariance * np.outer(stretch, stretch))
-        return replace(self, pose=pose, J_scale=stretch * self.J_scale)
+        return replace(self, pose=self.pose.longer(factor), J_scale=np.repeat([1.0, factor], 3) * self.J_scale)
 
 
 @dataclass(frozen=True)

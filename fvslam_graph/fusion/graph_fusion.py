@@ -12,7 +12,7 @@ from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings, GroundSettings
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.core.frame_result import CalibrationEstimate, EarthPlacement, Ending
-from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
+from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, GaussianPose, ScaledPose
 from fvslam_graph.core.geodesy import LocalFrame
 from fvslam_graph.core.sequence import Frame, Ground
 from fvslam_graph.core.slam_estimate import LandmarkObservations
@@ -56,7 +56,10 @@ class GraphFusion(Fusion):
         # P_f, what the motion to P_f erred about is not counted: the next motion does without it.
         self._poses: dict[int, GaussianPose] = {}
         self._earlier = 0, np.zeros(3)  # where motions started before the last P_f, and metres by which it moved
-        self._published: dict[int, Array] = {}  # where P_f was, at each interleaved frame
+        # Where P_f was, at each interleaved frame, and the camera in each one before there were landmarks; and whether
+        # that was in a scale that was known.
+        self._published: dict[int, Array] = {}
+        self._started, self._scaled, self._relative = False, True, relative
         # Of the steps by which P_f corrected the path: what online poses have not taken up yet (m, in the world), and
         # which share of it is left a frame later.
         self._step, self._left = np.zeros(3), 0.0
@@ -72,6 +75,9 @@ class GraphFusion(Fusion):
             self._poses = {frame.index: super().pose}
         else:
             self._poses = {step.previous: start, frame.index: start.compose(step.prev_T_cur)}
+        if not self._started:
+            self._scaled &= self._relative or step.map_variance < UNINFORMATIVE_VARIANCE
+            self._published[frame.index] = self._poses[frame.index].mean.translation()
         if self._down is not None and frame.height > 0:
             sigma = math.hypot(frame.height_sigma, self._roughness * frame.height)
             self.graph.add_height(frame.height, sigma, self._down)
@@ -95,30 +101,38 @@ class GraphFusion(Fusion):
         return None if self._enu is None else self._enu.compose(self._chain.motion.total)
 
     def start(self, pose: GaussianPose, observations: LandmarkObservations) -> None:
-        """Landmarks begin at the newest frame."""
+        """Landmarks begin at the newest frame. A path in a scale that was a guess is published no more."""
         super().start(pose, observations)
+        self._published.pop(self._newest, None)
+        if not self._started and not self._scaled:
+            self._published.clear()
+        self._started = True
         self.graph.fuse(observations)
-        self._published[self._newest] = pose.mean.translation()
+        self._publish()
 
     def _fused(
         self, pose: GaussianPose, motion: GaussianPose, observations: LandmarkObservations | None
     ) -> GaussianPose:
-        before = next(reversed(self._published))
         fused = self.graph.fuse(observations)
+        self._publish()
+        return self._chain.motion.total if fused is None else fused
+
+    def _publish(self) -> None:
+        """Move the reference to where the graph has the camera, but for what is published of the path behind it."""
+        before = next(reversed(self._published), None)
         expected = self._poses[self._newest].mean.translation()
         away = np.zeros(3)
-        if self._settings.online == "continuous":
+        if self._settings.online == "continuous" and before is not None:
             # What lies behind the last P_f in the scale in which it was published, the motion since in that of now.
             away = (self._published_scale() - 1) * self.graph.positions([before])[0]
         self._earlier = min(self._poses), away
         self._poses = {self._newest: _moved(self.graph.pose(self._newest), away)}
         self._reference = ScaledPose.of(self._poses[self._newest])
-        if self._settings.online == "continuous":
+        if self._settings.online == "continuous" and before is not None:
             self._left = math.exp(-1 / (self._newest - before))
             self._step = self._step + self._left * (expected - self.reference.mean.translation())
         self._published[self._newest] = self.reference.mean.translation()
         self._enu = self.graph.enu_T_camera(self._newest)
-        return self._chain.motion.total if fused is None else fused
 
     def _earlier_pose(self, frame: int) -> GaussianPose | None:
         """The online pose of the frame where motions started before the last P_f; None of others or beyond the lag."""

@@ -266,11 +266,25 @@ class Graph:
             for index, step in self._moves.items():
                 motion = GaussianPose(_between(self._poses[step.previous], self._poses[index]), doubt)
                 self._moves[index] = OdometryStep(step.previous, motion)
+        scales = self._take_scales()
         for index, step in self._moves.items():
+            if index in scales:
+                step = step.longer(math.exp(self._scales.expected(scales[index])))
             start = self._update.linearised(pose_key(step.previous))
             self._update.insert(pose_key(index), start.compose(step.prev_T_cur.mean))
-            self._move(index, step)
+            self._move(index, step, scales.get(index))
         self._moves = {}
+
+    def _take_scales(self) -> dict[int, int]:
+        """Append what new motions say of the scale; the variable of each one that has it in common, by frame."""
+        scales = {}
+        for index, step in self._moves.items():
+            if self.settings.scale_model == "chain" and step.scale_variance > 0:
+                scales[index], *others = self._scales.extend(step.previous, index, step.scale, step.scale_variance)
+                for key in (scales[index], *others):
+                    self._update.stamps[key] = self._stamps[index]
+        self._scales.settle()
+        return scales
 
     def _take_positions(self) -> bool:
         """Append what fixes say; whether they say anything."""
@@ -309,15 +323,13 @@ class Graph:
         inflation = (deviation(sigma, len(observations.ids)) / deviation(sigma, 1)) ** 2
         return None if seen is None else GaussianPose(seen.mean, inflation * seen.covariance)
 
-    def _move(self, index: int, step: OdometryStep) -> None:
-        """The factors of a motion of odometry."""
+    def _move(self, index: int, step: OdometryStep, scale: int | None) -> None:
+        """The factors of a motion of odometry; the variable of its scale, if it has one."""
         motion, told = step.prev_T_cur, False
         length = float(np.linalg.norm(motion.mean.translation()))
-        if self.settings.scale_model == "chain" and step.scale_variance > 0:
-            for key in self._scales.extend(step.previous, index, step.scale, step.scale_variance):
-                self._update.stamps[key] = self._stamps[index]
+        if scale is not None:
             motion = motion.with_scale_variance(-step.scale_variance)
-            told = self._scales.measure(step.previous, index, motion, self._poses[step.previous])
+            told = self._scales.measure(step.previous, index, scale, motion, self._poses[step.previous])
         elif self.settings.odometry == "essential" and length > SHORT:
             travel = motion.mean.rotation().unrotate(motion.mean.translation() / length)
             sigma = math.sqrt(float(travel @ motion.covariance[3:, 3:] @ travel))

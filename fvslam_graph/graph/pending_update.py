@@ -12,17 +12,15 @@ from fvslam_graph.graph.solver import Solver
 class PendingUpdate:
     """Collects factors and variables until the graph is solved.
 
-    Args:
-        solver: Takes them in.
-
     Attributes:
+        solver: Takes them in.
         factors: New ones.
         values: First values of new variables.
         stamps: When variables are seen, seconds.
     """
 
     def __init__(self, solver: Solver) -> None:
-        self._solver = solver
+        self.solver = solver
         self._clear()
 
     def add(self, factor: gtsam.NonlinearFactor) -> None:
@@ -35,7 +33,7 @@ class PendingUpdate:
 
     def has(self, key: int) -> bool:
         """Whether a variable is in the graph, or about to enter it."""
-        return bool(self.values.exists(key) or self._solver.has(key))
+        return bool(self.values.exists(key) or self.solver.has(key))
 
     def linearised(self, key: int) -> gtsam.Pose3:
         """The pose where the factors of a variable are linearised.
@@ -43,13 +41,13 @@ class PendingUpdate:
         New variables begin relative to it, not to the estimate: until it is linearised again, the path may have moved
         by more than the step that is added to it.
         """
-        return self.values.atPose3(key) if self.values.exists(key) else self._solver.linearised(key)
+        return self.values.atPose3(key) if self.values.exists(key) else self.solver.linearised(key)
 
     def solve(self) -> None:
         """Hand all to the solver, once, also where it cannot be solved."""
         batch = self.factors, self.values, self.stamps
         self._clear()
-        self._solver.update(*batch)
+        self.solver.update(*batch)
 
     def _clear(self) -> None:
         self.factors, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()

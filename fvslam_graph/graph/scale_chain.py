@@ -16,6 +16,7 @@ from fvslam_graph.graph.pending_update import PendingUpdate
 
 LENGTH_SIGMA = 1e-4  # share of a length that it errs by, beyond its scale
 CONVENTION = 1e-3  # of the logarithm of a scale that nothing measures
+KNOWN = 1e-4  # likewise, of one that the graph has, while new ones are settled
 
 
 def scale_key(frame: int) -> int:
@@ -30,11 +31,12 @@ def bias_key(frame: int) -> int:
 
 @dataclass(frozen=True)
 class _Length:
-    """How long a motion is: `metres`, if the scale learnt at frame `scale` were right."""
+    """How long a motion is: `metres`, if the variable `scale` were as `expected`."""
 
     metres: float
     sigma: float
     scale: int
+    expected: float
 
 
 class ScaleChain:
@@ -56,6 +58,7 @@ class ScaleChain:
         self._update, self._relative = update, relative
         self._scale_of: dict[int, int] = {}  # frame where the scale was learnt that another frame's map has
         self._lengths: dict[tuple[int, int], _Length] = {}  # of the motions between two frames
+        self._new = gtsam.NonlinearFactorGraph()  # factors of scales alone, since they were settled last
 
     def extend(self, previous: int, index: int, step: ScaleStep | None, variance: float) -> list[int]:
         """Tell where the scale of a motion comes from.
@@ -66,7 +69,7 @@ class ScaleChain:
             variance: Of the logarithm of the scale.
 
         Returns:
-            The variables that this is about.
+            The variables that this is about, that of the motion's own scale first.
         """
         before = self._scale_of.get(previous)
         beyond_lag = before is not None and not self._update.has(scale_key(before))
@@ -98,12 +101,40 @@ class ScaleChain:
                 self._hold(scale_key(index), measured)
         return self._variables(index) + ([] if before is None else self._variables(before))
 
-    def measure(self, previous: int, index: int, motion: GaussianPose, world_T_previous: gtsam.Pose3) -> bool:
-        """Tell how long a motion is, after `extend`.
+    def settle(self) -> None:
+        """Begin new scales where they most likely are, by what they are linked to and what was measured of them.
+
+        Lengths are linear in the logarithm of the scale. A path that began without metres may be many times too long.
+        """
+        keys = self._new.keyVector()
+        new = [key for key in keys if self._update.values.exists(key)]
+        if not new:
+            return
+        start = gtsam.Values()
+        for key in keys:
+            known = key not in new
+            start.insert(key, self._update.solver.number(key) if known else 0.0)
+            if known:
+                self._new.add(gtsam.PriorFactorDouble(key, start.atDouble(key), _sigma(KNOWN**2)))
+        settled = start.retract(self._new.linearize(start).optimize())
+        for key in new:
+            self._update.values.update(key, settled.atDouble(key))
+        self._new = gtsam.NonlinearFactorGraph()
+
+    def expected(self, key: int) -> float:
+        """The logarithm of a scale as known now, after `settle`."""
+        values = self._update.values
+        return values.atDouble(key) if values.exists(key) else self._update.solver.number(key)
+
+    def measure(
+        self, previous: int, index: int, scale: int, motion: GaussianPose, world_T_previous: gtsam.Pose3
+    ) -> bool:
+        """Tell how long a motion is, after `settle`.
 
         Args:
             previous, index: The motion goes from one frame to the other.
-            motion: Without the variance of its scale.
+            scale: The variable of its scale.
+            motion: As long as by the scale that is expected, without the variance of this.
             world_T_previous: Where it begins, as known now.
 
         Returns:
@@ -119,7 +150,7 @@ class ScaleChain:
         across = float(np.trace(translation)) - along
         # Of a direction that errs by an angle, the length along the mean is less by half of the square of that.
         variance = along + (across / metres) ** 2 / 2 + (LENGTH_SIGMA * metres) ** 2
-        length = _Length(metres, math.sqrt(variance), self._scale_of[index])
+        length = _Length(metres, math.sqrt(variance), scale, self.expected(scale))
         self._lengths[previous, index] = length
         self._update.add(_length_factor(previous, index, length, direction, motion.mean, world_T_previous))
         return True
@@ -128,17 +159,15 @@ class ScaleChain:
         """Length and its deviation (m) of the motions between two frames, with the scale that the graph has found."""
         found = {}
         for frames, length in self._lengths.items():
-            scale = scale_key(length.scale)
-            if values.exists(scale):
-                found[frames] = (length.metres * (1 + values.atDouble(scale)), length.sigma)
+            if values.exists(length.scale):
+                ratio = 1 + values.atDouble(length.scale) - length.expected
+                found[frames] = (length.metres * ratio, length.sigma)
         return found
 
     def forget(self) -> None:
         """Drop what refers to variables that the graph no longer has."""
         self._scale_of = {frame: scale for frame, scale in self._scale_of.items() if self._update.has(scale_key(scale))}
-        self._lengths = {
-            frames: length for frames, length in self._lengths.items() if self._update.has(scale_key(length.scale))
-        }
+        self._lengths = {frames: length for frames, length in self._lengths.items() if self._update.has(length.scale)}
 
     def _variables(self, frame: int) -> list[int]:
         return [key for key in (scale_key(frame), bias_key(frame)) if self._update.has(key)]
@@ -148,10 +177,10 @@ class ScaleChain:
         self._hold(key, LogScale(value.mean, CONVENTION**2) if self._relative else value)
 
     def _hold(self, key: int, value: LogScale) -> None:
-        self._update.add(gtsam.PriorFactorDouble(key, value.mean, _sigma(value.variance)))
+        self._add(gtsam.PriorFactorDouble(key, value.mean, _sigma(value.variance)))
 
     def _link(self, first: int, second: int, difference: LogScale) -> None:
-        self._update.add(gtsam.BetweenFactorDouble(first, second, difference.mean, _sigma(difference.variance)))
+        self._add(gtsam.BetweenFactorDouble(first, second, difference.mean, _sigma(difference.variance)))
 
     def _decay(self, first: int, second: int, step: ScaleStep) -> None:
         noise = _sigma((1 - step.bias_decay**2) * step.bias_variance)
@@ -159,7 +188,11 @@ class ScaleChain:
         values = gtsam.Values()
         values.insert(first, 0.0)
         values.insert(second, 0.0)
-        self._update.add(gtsam.LinearContainerFactor(decay, values))
+        self._add(gtsam.LinearContainerFactor(decay, values))
+
+    def _add(self, factor: gtsam.NonlinearFactor) -> None:
+        self._new.add(factor)
+        self._update.add(factor)
 
 
 def _length_factor(
@@ -170,7 +203,7 @@ def _length_factor(
     prev_T_cur: gtsam.Pose3,
     world_T_previous: gtsam.Pose3,
 ) -> gtsam.NonlinearFactor:
-    """How far the camera went along `direction` (3,), in the previous camera: length (1 + scale), linear in all three.
+    """How far the camera went along `direction` (3,), in the previous camera, linear in both poses and in the scale.
 
     The same displacement of both poses, however large, changes nothing, so that it holds where it was linearised and
     elsewhere.
@@ -180,13 +213,13 @@ def _length_factor(
     values = gtsam.Values()
     values.insert(pose_key(previous), world_T_previous)
     values.insert(pose_key(index), world_T_previous.compose(prev_T_cur))
-    values.insert(scale_key(length.scale), 0.0)
+    values.insert(length.scale, length.expected)
     jacobian = gtsam.JacobianFactor(
         pose_key(previous),
         J_previous,
         pose_key(index),
         J_index,
-        scale_key(length.scale),
+        length.scale,
         np.array([[-length.metres]]),
         np.zeros(1),
         _sigma(length.sigma**2),

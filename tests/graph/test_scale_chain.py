@@ -188,6 +188,46 @@ def test_a_scale_that_nothing_measures_is_a_convention(relative):
     assert (0.85 < shares.min() < shares.max() < 1.05) if relative else shares.max() < 0.1
 
 
+GUESSED = 8.0  # times as long as they are, motions before anything tells metres
+TAKEN_OFF = 12  # frames until then
+
+
+def takeoff() -> list[OdometryStep]:
+    """Motions in a scale that is a guess, until it is measured; odometry takes it over at once."""
+    made, started = [], TAKEN_OFF
+    for number in range(40):
+        guess = math.log(GUESSED) if number < started else 0.0
+        length = LogScale(math.log(METRES) + guess, 1.0 if number < started else 0.05**2)
+        carried = math.log(METRES) + (math.log(GUESSED) if number <= started else 0.0)
+        predicted = LogScale(carried, 1.0 if number == 0 else DRIFT**2)
+        measured = LogScale(math.log(METRES), 0.05**2) if number >= started else None
+        step = ScaleStep(length, predicted, measured)
+        made.append(OdometryStep(number, motion(step), step, length.variance, length.variance))
+    return made
+
+
+def test_what_was_flown_before_metres_were_known_has_them_afterwards():
+    """However wrong the guess was: its lengths are not linear in the logarithm of the scale."""
+    fusion = GraphFusion(CAMERA, GraphSettings(landmarks="none"), None)
+    fusion.add_odometry(Frame(0, 0.0, None), OdometryStep(0, GaussianPose.identity()))
+    poses = [fusion.pose]
+    for index, step in enumerate(takeoff(), 1):
+        fusion.add_odometry(Frame(index, 0.1 * index, None), step)
+        if index == TAKEN_OFF + 2:  # visual SLAM waits for metres
+            fusion.start(fusion.pose, NOTHING)
+        elif index > TAKEN_OFF + 2 and index % 5 == 0:
+            fusion.fuse(fusion.pose, fusion.pose, None)
+        poses.append(fusion.pose)
+    assert lengths(fusion.graph) == pytest.approx(METRES, rel=0.05)
+    path = np.array([pose.translation() for pose in fusion.graph.smoothed().poses])
+    truth = np.array([pose.translation() for pose in TRUE[: len(path)]])
+    assert np.linalg.norm(path - truth, axis=1).max() < 0.05 * METRES * len(path)
+    # From where visual SLAM began, the online path is in metres, too, and where it is from its beginning.
+    online = np.array([pose.mean.translation() for pose in poses])[TAKEN_OFF + 2 :]
+    assert np.linalg.norm(np.diff(online, axis=0), axis=1) == pytest.approx(METRES, rel=0.05)
+    assert np.linalg.norm(online - truth[TAKEN_OFF + 2 :], axis=1).max() < 0.05 * METRES * len(path)
+
+
 def test_a_frame_that_is_located_has_the_scale_of_its_map():
     made = steps(10)
     graph = fed(made)
@@ -224,7 +264,7 @@ def test_the_length_against_the_built_in_range():
     variance = 0.03**2
     chain.extend(0, 1, ScaleStep(LogScale(0.0, variance), LogScale(0.0, variance)), variance)
     away = gtsam.Pose3.Expmap(np.array([0.3, -0.5, 0.8, 3.0, -2.0, 5.0]))
-    assert chain.measure(0, 1, GaussianPose(STEP, (1e-3 * METRES) ** 2 * np.eye(6)), away)
+    assert chain.measure(0, 1, scale_key(1), GaussianPose(STEP, (1e-3 * METRES) ** 2 * np.eye(6)), away)
     sigma = math.hypot(1e-3, LENGTH_SIGMA) * METRES
     length = update.factors.at(update.factors.size() - 1)
     scaled = gtsam.Pose3(STEP.rotation(), 1.01 * STEP.translation())
@@ -253,7 +293,7 @@ def test_the_length_of_a_motion_whose_direction_is_doubtful():
         update = PendingUpdate(Solver(GraphSettings()))
         chain = ScaleChain(update)
         chain.extend(0, 1, ScaleStep(LogScale(0.0, 1.0), LogScale(0.0, 1.0)), 1.0)
-        assert chain.measure(0, 1, GaussianPose(STEP, own), gtsam.Pose3())
+        assert chain.measure(0, 1, scale_key(1), GaussianPose(STEP, own), gtsam.Pose3())
         at = gtsam.Values()
         at.insert(pose_key(0), gtsam.Pose3())
         gone = METRES * directions.retract(doubt * rng.standard_normal(2)).point3()
