@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,9 +57,7 @@ class OdometryStep:
         previous: Index of the frame that the motion starts from.
         prev_T_cur: The motion.
         scale: What was learnt of its scale; None where it has that of the map in the earlier frame.
-        scale_variance: How much of its covariance is due to the logarithm of the scale; 0 where that is not known.
-        map_variance: Variance of the logarithm of the scale of the map, which a motion that has hardly a length does
-            not hold; 0 without a map.
+        map_variance: Variance of the logarithm of the scale of the map; 0 without one.
         awaited: Frames besides this one and the previous one, against which motions to come may be measured.
         measured: Whether images tell it; a motion model's has no noise in common with others.
         J_calibration: (6, 2) how it changes with the logarithm of the focal length and with k1, in its tangent.
@@ -68,12 +67,19 @@ class OdometryStep:
     previous: int
     prev_T_cur: GaussianPose
     scale: ScaleStep | None = None
-    scale_variance: float = 0.0
     map_variance: float = 0.0
     awaited: tuple[int, ...] = ()
     measured: bool = True
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
     calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+
+    @cached_property
+    def scale_variance(self) -> float:
+        """How much of its covariance is due to the logarithm of the scale.
+
+        The translation of a camera that turns hardly depends on the scale of the map, however doubtful this is.
+        """
+        return self.prev_T_cur.room_for_scale(self.map_variance)
 
     def longer(self, factor: float) -> OdometryStep:
         """The same with all lengths so many times as long."""
@@ -153,16 +159,12 @@ class VoEstimate:
 
     @property
     def step(self) -> OdometryStep:
-        """The motion, for fusion.
-
-        The translation of a camera that turns hardly depends on the scale of the map, however doubtful this is.
-        """
+        """The motion, for fusion."""
         measured = self.status in (Status.TRACKED, Status.STATIC)
         return OdometryStep(
             self.previous,
             self.prev_T_cur,
             self.scale,
-            self.prev_T_cur.room_for_scale(self.map.variance),
             self.map.variance,
             self.awaited,
             measured,

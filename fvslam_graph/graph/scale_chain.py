@@ -106,23 +106,18 @@ class ScaleChain:
 
         Lengths are linear in the logarithm of the scale. A path that began without metres may be many times too long.
         """
-        keys = self._new.keyVector()
-        new = [key for key in keys if self._update.values.exists(key)]
-        if not new:
-            return
+        factors, self._new = self._new, gtsam.NonlinearFactorGraph()
         start = gtsam.Values()
-        for key in keys:
-            known = key not in new
-            start.insert(key, self._update.solver.number(key) if known else 0.0)
-            if known:
-                self._new.add(gtsam.PriorFactorDouble(key, start.atDouble(key), _sigma(KNOWN**2)))
-        settled = start.retract(self._new.linearize(start).optimize())
-        for key in new:
+        for key in factors.keyVector():
+            start.insert(key, self.expected(key))
+            if not self._update.values.exists(key):
+                factors.add(gtsam.PriorFactorDouble(key, start.atDouble(key), _sigma(KNOWN**2)))
+        settled = start.retract(factors.linearize(start).optimize())
+        for key in filter(self._update.values.exists, settled.keys()):
             self._update.values.update(key, settled.atDouble(key))
-        self._new = gtsam.NonlinearFactorGraph()
 
     def expected(self, key: int) -> float:
-        """The logarithm of a scale as known now, after `settle`."""
+        """A variable as known now: a new one after `settle`."""
         values = self._update.values
         return values.atDouble(key) if values.exists(key) else self._update.solver.number(key)
 

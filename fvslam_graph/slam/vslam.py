@@ -264,7 +264,8 @@ class VSlam:
     def _forgotten(self, state: State) -> State:
         """The pose, which the camera may have been carried from, and what is left of the velocity, without a map.
 
-        Nothing tells any more in which scale the next map is but the speed, and that scenes are about as far away.
+        Nothing tells any more in which scale the next map is but the speed, odometry as far as this map has told its
+        scale, and that scenes are about as far away.
         """
         self._lost = self._lost or self._seen
         self._map.awaited = self._lost.state.ids if self._lost else self._map.awaited

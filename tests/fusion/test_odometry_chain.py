@@ -114,7 +114,7 @@ def scaled_step(previous: int, filtered: float, added: float, room: float | None
     pose = GaussianPose(gtsam.Pose3(gtsam.Rot3(), (0.0, 0.0, 1.0)), 1e-6 * np.eye(6))
     scale = ScaleStep(LogScale(0.0, filtered), LogScale(0.0, added), LogScale(0.0, 1.0))
     held = filtered if room is None else room
-    return OdometryStep(previous, pose.with_scale_variance(held), scale, held, filtered)
+    return OdometryStep(previous, pose.with_scale_variance(held), scale, filtered)
 
 
 def test_the_error_of_the_scale_is_a_chain():
@@ -151,8 +151,8 @@ def test_a_motion_and_what_its_scale_errs_are_all_that_it_errs():
     chain.anchor()
     chain.add(4, scaled_step(3, 1.0, 0.0, room=0.01))  # hardly a length: however doubtful the scale, it errs by 10 %
     motion = chain.motion_in_scale
-    assert motion.J_scale == pytest.approx([0, 0, 0, 0, 0, 0.01])
-    assert motion.pose.covariance[5, 5] == pytest.approx(0.01 + 1e-6 - 0.01**2)
+    assert motion.J_scale == pytest.approx([0, 0, 0, 0, 0, 0.01], rel=1e-3)
+    assert motion.pose.covariance[5, 5] == pytest.approx(0.01 - 0.01**2, rel=1e-3)
 
 
 def test_an_anchor_that_something_else_knows_better():

@@ -194,15 +194,13 @@ TAKEN_OFF = 12  # frames until then
 
 def takeoff() -> list[OdometryStep]:
     """Motions in a scale that is a guess, until it is measured; odometry takes it over at once."""
-    made, started = [], TAKEN_OFF
+    made, true, guess = [], math.log(METRES), math.log(GUESSED * METRES)
     for number in range(40):
-        guess = math.log(GUESSED) if number < started else 0.0
-        length = LogScale(math.log(METRES) + guess, 1.0 if number < started else 0.05**2)
-        carried = math.log(METRES) + (math.log(GUESSED) if number <= started else 0.0)
-        predicted = LogScale(carried, 1.0 if number == 0 else DRIFT**2)
-        measured = LogScale(math.log(METRES), 0.05**2) if number >= started else None
+        predicted = LogScale(guess if number <= TAKEN_OFF else true, DRIFT**2 if number else 1.0)
+        measured = LogScale(true, 0.05**2) if number >= TAKEN_OFF else None
+        length = measured or LogScale(guess, 1.0)
         step = ScaleStep(length, predicted, measured)
-        made.append(OdometryStep(number, motion(step), step, length.variance, length.variance))
+        made.append(OdometryStep(number, motion(step), step, length.variance))
     return made
 
 

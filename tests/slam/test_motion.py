@@ -110,12 +110,10 @@ def test_odometry_errs_by_one_scale_from_step_to_step(random_state, camera):
 
 def _ratio_sigma(state):
     """Deviation of the logarithm of a step over the distance of a landmark."""
-    row = state.parts[1][np.flatnonzero(state.ids == 100)[0], 2]
+    landmark = state.ids.tolist().index(100)
     J_ratio = np.zeros(len(state.covariance))
-    J_ratio[VELOCITY.stop - 1], J_ratio[row] = (
-        1 / state.velocity[5],
-        1 / state.inverse_depth[state.ids.tolist().index(100), 2],
-    )
+    J_ratio[VELOCITY.stop - 1] = 1 / state.velocity[5]
+    J_ratio[state.parts[1][landmark, 2]] = 1 / state.inverse_depth[landmark, 2]
     return np.sqrt(J_ratio @ state.covariance @ J_ratio)
 
 
