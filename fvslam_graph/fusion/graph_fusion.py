@@ -60,6 +60,7 @@ class GraphFusion(Fusion):
         # that was in a scale that was known.
         self._published: dict[int, Array] = {}
         self._started, self._scaled, self._relative = False, True, relative
+        self._origin = np.zeros(3)  # where the origin of the graph is in what is published, metres
         # Of the steps by which P_f corrected the path: what online poses have not taken up yet (m, in the world), and
         # which share of it is left a frame later.
         self._step, self._left = np.zeros(3), 0.0
@@ -101,13 +102,18 @@ class GraphFusion(Fusion):
         return None if self._enu is None else self._enu.compose(self._chain.motion.total)
 
     def start(self, pose: GaussianPose, observations: LandmarkObservations) -> None:
-        """Landmarks begin at the newest frame. A path in a scale that was a guess is published no more."""
+        """Landmarks begin at the newest frame.
+
+        What was published in a scale that was a guess says nothing of the scale of the path: it goes on from its end.
+        """
         super().start(pose, observations)
+        self.graph.fuse(observations)
         self._published.pop(self._newest, None)
         if not self._started and not self._scaled:
             self._published.clear()
+            here = self._poses[self._newest].mean.translation()
+            self._origin = here - self.graph.positions([self._newest])[0]
         self._started = True
-        self.graph.fuse(observations)
         self._publish()
 
     def _fused(
@@ -125,13 +131,14 @@ class GraphFusion(Fusion):
         if self._settings.online == "continuous" and before is not None:
             # What lies behind the last P_f in the scale in which it was published, the motion since in that of now.
             away = (self._published_scale() - 1) * self.graph.positions([before])[0]
+        away = away + self._origin
         self._earlier = min(self._poses), away
         self._poses = {self._newest: _moved(self.graph.pose(self._newest), away)}
         self._reference = ScaledPose.of(self._poses[self._newest])
         if self._settings.online == "continuous" and before is not None:
             self._left = math.exp(-1 / (self._newest - before))
             self._step = self._step + self._left * (expected - self.reference.mean.translation())
-        self._published[self._newest] = self.reference.mean.translation()
+        self._published[self._newest] = self.reference.mean.translation() - self._origin
         self._enu = self.graph.enu_T_camera(self._newest)
 
     def _earlier_pose(self, frame: int) -> GaussianPose | None:

@@ -220,10 +220,15 @@ def test_what_was_flown_before_metres_were_known_has_them_afterwards():
     path = np.array([pose.translation() for pose in fusion.graph.smoothed().poses])
     truth = np.array([pose.translation() for pose in TRUE[: len(path)]])
     assert np.linalg.norm(path - truth, axis=1).max() < 0.05 * METRES * len(path)
-    # From where visual SLAM began, the online path is in metres, too, and where it is from its beginning.
-    online = np.array([pose.mean.translation() for pose in poses])[TAKEN_OFF + 2 :]
+    # From where metres are known, the online path is in metres, too, and goes on without a jump. That it is not where
+    # it would be from its beginning, its covariance says.
+    online = np.array([pose.mean.translation() for pose in poses])[TAKEN_OFF:]
     assert np.linalg.norm(np.diff(online, axis=0), axis=1) == pytest.approx(METRES, rel=0.05)
-    assert np.linalg.norm(online - truth[TAKEN_OFF + 2 :], axis=1).max() < 0.05 * METRES * len(path)
+    away = online[-1] - truth[-1]
+    assert np.linalg.norm(away) > METRES * TAKEN_OFF
+    covariance = poses[-1].covariance[3:, 3:]
+    error = poses[-1].mean.rotation().unrotate(away)
+    assert error @ np.linalg.solve(covariance, error) < 3
 
 
 def test_a_frame_that_is_located_has_the_scale_of_its_map():
