@@ -154,6 +154,7 @@ class FrameEstimator:
 
         if odometry is not None and (correction := self._calibration.add(odometry.evidence)):
             slam = self._recalibrate(filed, odometry, correction, slam)
+        self._vo.correct_scale(self._calibration.left)
 
         if status is Status.TRACKED and odometry is not None and not odometry.scale_known:
             status = Status.UNSCALED

@@ -164,6 +164,20 @@ class Camera:
         return np.asarray(pixels, float).reshape(-1, 2)
 
 
+def by_calibration(rays: NDArray[np.float64], gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How numbers change with the calibration, (N, 2): with the logarithm of the focal length and with k1.
+
+    The ray of a pixel that was undistorted by a wrong calibration, see `Camera.corrected`, is nearer the optical axis
+    by as much as the focal length is longer, and by k1 times the square of its distance from it.
+
+    Args:
+        rays: (N, 2) or more, z = 1.
+        gradient: (N, 2) of the numbers, in x and y of these rays; or (2,), if it is the same for all.
+    """
+    nearer = -np.vecdot(rays[:, :2], gradient)
+    return np.stack([nearer, np.vecdot(rays[:, :2], rays[:, :2]) * nearer], axis=1)
+
+
 class Rectifier:
     """Removes lens distortion, and optionally rotates the camera; the maps are computed once.
 

@@ -89,7 +89,7 @@ class KltTracker:
         returned, backward = self._align(image, keyframe, found, self._points, 0)
         height, width = image.shape
         inside = np.all((found > BORDER) & (found < (width - BORDER - 1, height - BORDER - 1)), axis=1)
-        error = np.linalg.norm(returned - self._points, axis=1)
+        error = np.hypot(*(returned - self._points).T)
         return found, forward & backward & inside & (error < self.settings.klt_backward)
 
     def _align(

@@ -77,7 +77,7 @@ class Graph:
         self._candidates = LandmarkCandidates(settings)
         self._noise = PixelNoise(settings.pixel_sigma)
         self._update = PendingUpdate(self.solver)
-        self._scales = ScaleChain(self._update, relative)
+        self._scales = ScaleChain(self._update, self._landmark_factors.calibration, relative)
         self._positions = Positions(self._update, settings, ground)
         self._counts: dict[int, int] = {}  # landmarks that each interleaved frame shows
         self._distances: dict[int, float] = {}  # metres, of each landmark of the graph when it was seen first
@@ -280,7 +280,7 @@ class Graph:
         scales = {}
         for index, step in self._moves.items():
             if self.settings.scale_model == "chain" and step.scale_variance > 0:
-                scales[index], *others = self._scales.extend(step.previous, index, step.scale, step.scale_variance)
+                scales[index], *others = self._scales.extend(index, step)
                 for key in (scales[index], *others):
                     self._update.stamps[key] = self._stamps[index]
         self._scales.settle()

@@ -6,6 +6,7 @@ from typing import Any
 
 import gtsam
 
+from fvslam_graph.graph.calibration import CALIBRATION
 from fvslam_graph.graph.solver import Solver
 
 
@@ -42,6 +43,10 @@ class PendingUpdate:
         by more than the step that is added to it.
         """
         return self.values.atPose3(key) if self.values.exists(key) else self.solver.linearised(key)
+
+    def calibration(self) -> gtsam.Cal3Bundler:
+        """The camera's calibration as known now."""
+        return self.solver.calibration() if self.solver.has(CALIBRATION) else self.values.atCal3Bundler(CALIBRATION)
 
     def solve(self) -> None:
         """Hand all to the solver, once, also where it cannot be solved."""

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, GaussianPose, LogScale
-from fvslam_graph.core.vo_estimate import ScaleStep
+from fvslam_graph.core.vo_estimate import OdometryStep, ScaleStep
+from fvslam_graph.graph.calibration import CALIBRATION, SelfCalibration
 from fvslam_graph.graph.factors import SHORT, pose_key
 from fvslam_graph.graph.pending_update import PendingUpdate
+
+Array = NDArray[np.float64]
 
 LENGTH_SIGMA = 1e-4  # share of a length that it errs by, beyond its scale
 CONVENTION = 1e-3  # of the logarithm of a scale that nothing measures
@@ -50,27 +54,26 @@ class ScaleChain:
 
     Args:
         update: Collects factors and variables.
+        calibration: The camera's, as a variable; where there is none, that of the file holds.
         relative: Nothing tells metres. Then the first scale is a convention: one that is merely not known would shrink
             the path to a point, where what errs by metres errs by none.
     """
 
-    def __init__(self, update: PendingUpdate, relative: bool = False) -> None:
-        self._update, self._relative = update, relative
+    def __init__(
+        self, update: PendingUpdate, calibration: SelfCalibration | None = None, relative: bool = False
+    ) -> None:
+        self._update, self._calibration, self._relative = update, calibration, relative
         self._scale_of: dict[int, int] = {}  # frame where the scale was learnt that another frame's map has
         self._lengths: dict[tuple[int, int], _Length] = {}  # of the motions between two frames
         self._new = gtsam.NonlinearFactorGraph()  # factors of scales alone, since they were settled last
 
-    def extend(self, previous: int, index: int, step: ScaleStep | None, variance: float) -> list[int]:
-        """Tell where the scale of a motion comes from.
-
-        Args:
-            previous, index: The motion goes from one frame to the other.
-            step: What was learnt of its scale; None where it has that of the map in the first frame.
-            variance: Of the logarithm of the scale.
+    def extend(self, index: int, motion: OdometryStep) -> list[int]:
+        """Tell where the scale of the motion that leads to a frame comes from.
 
         Returns:
             The variables that this is about, that of the motion's own scale first.
         """
+        previous, step = motion.previous, motion.scale
         before = self._scale_of.get(previous)
         beyond_lag = before is not None and not self._update.has(scale_key(before))
         if before is not None and step is None and not beyond_lag:
@@ -79,14 +82,16 @@ class ScaleChain:
         self._scale_of[index] = index
         self._update.insert(scale_key(index), 0.0)
         if step is None or beyond_lag:  # all that odometry made of it
-            self._begin(scale_key(index), LogScale(0.0, variance))
+            self._begin(scale_key(index), LogScale(0.0, motion.scale_variance))
             return [scale_key(index)]
         self._scale_of[previous] = index  # from now on: motions that follow from there have the scale of its map
         predicted = LogScale(step.predicted.mean - step.length.mean, step.predicted.variance)
         if before is None or (self._relative and predicted.variance >= UNINFORMATIVE_VARIANCE):
             self._begin(scale_key(index), predicted)
         else:
-            self._link(scale_key(before), scale_key(index), predicted)
+            self._link(
+                scale_key(before), scale_key(index), predicted, step.J_predicted, motion.calibration + step.calibration
+            )
         if step.bias_variance > 0:
             self._update.insert(bias_key(index), 0.0)
             if before is None or not self._update.has(bias_key(before)):
@@ -96,7 +101,7 @@ class ScaleChain:
         if step.measured is not None:
             measured = LogScale(step.measured.mean - step.length.mean, step.measured.variance)
             if step.bias_variance > 0:
-                self._link(bias_key(index), scale_key(index), measured)
+                self._link(bias_key(index), scale_key(index), measured, step.J_measured, motion.calibration)
             else:
                 self._hold(scale_key(index), measured)
         return self._variables(index) + ([] if before is None else self._variables(before))
@@ -174,8 +179,36 @@ class ScaleChain:
     def _hold(self, key: int, value: LogScale) -> None:
         self._add(gtsam.PriorFactorDouble(key, value.mean, _sigma(value.variance)))
 
-    def _link(self, first: int, second: int, difference: LogScale) -> None:
-        self._add(gtsam.BetweenFactorDouble(first, second, difference.mean, _sigma(difference.variance)))
+    def _link(self, first: int, second: int, difference: LogScale, J_calibration: Array, applied: Array) -> None:
+        """How much larger the second is than the first, which changes with the calibration.
+
+        New depths err otherwise than old ones by what is wrong with it: so the scale that a map carries through a turn
+        drifts, and the drift tells the calibration.
+
+        Args:
+            first, second: Keys.
+            difference: By a calibration to which `applied` (2,) was added, in the logarithm of the focal length and k1.
+            J_calibration: (2,) how its mean changes with both.
+        """
+        calibration, noise = self._calibration, _sigma(difference.variance)
+        if calibration is None or not J_calibration.any() or not self._update.has(CALIBRATION):
+            self._add(gtsam.BetweenFactorDouble(first, second, difference.mean, noise))
+            return
+        known = calibration.step(self._update.calibration())
+        mean = difference.mean + float(J_calibration @ (known - applied))
+        self._new.add(gtsam.BetweenFactorDouble(first, second, mean, noise))
+        jacobians = (
+            (first, -np.eye(1)),
+            (second, np.eye(1)),
+            (CALIBRATION, -J_calibration[None] @ calibration.jacobian()),
+        )
+        about_file = np.array([difference.mean - float(J_calibration @ applied)])
+        values = gtsam.Values()
+        values.insert(first, 0.0)
+        values.insert(second, 0.0)
+        values.insert(CALIBRATION, calibration.start)
+        linear = gtsam.JacobianFactor(*chain.from_iterable(jacobians), about_file, noise)
+        self._update.add(gtsam.LinearContainerFactor(linear, values))
 
     def _decay(self, first: int, second: int, step: ScaleStep) -> None:
         noise = _sigma((1 - step.bias_decay**2) * step.bias_variance)

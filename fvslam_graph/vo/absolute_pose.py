@@ -160,7 +160,7 @@ def with_known_depths(
     ratio = scale_ratio(unit, known)
     if ratio is None:
         return None
-    start = gtsam.Pose3(relative_pose.rotation, ratio.metres * relative_pose.direction)
+    start = gtsam.Pose3(relative_pose.rotation, ratio.scale.metres * relative_pose.direction)
     refined = refine_absolute_pose(start, camera.rays(tracks.keyframe), tracks, known.of(tracks.ids), camera)
     if refined is None or refined.agree.mean() < MIN_SHARE:
         return None

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.core.camera import by_calibration
 from fvslam_graph.core.gaussian_pose import LogScale, square_root
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.quick import median
@@ -30,6 +32,7 @@ def triangulate(
     baseline: NDArray[np.float64],
     noise: float = PIXEL_NOISE,
     covariance: NDArray[np.float64] | None = None,
+    J_calibration: NDArray[np.float64] | None = None,
 ) -> InverseDepths:
     """Inverse depths in the previous camera of points seen in two views; they may come out negative.
 
@@ -44,31 +47,55 @@ def triangulate(
         noise: Pixels, standard deviation of a track's displacement along each axis.
         covariance: (5, 5) of rotation and direction, as in RelativePose; without it, they are exact. Depths err
             together by its `square_root`.
+        J_calibration: (5, 2) how these change with the calibration; without a covariance, it is not asked for.
     """
     previous, focal, covariances = matched.previous, matched.focal, matched.covariances
     rotated = matched.current @ rotation.matrix().T
     across = rotated @ gtsam.SO3.Hat(baseline)  # rotated x baseline
-    square, along = np.maximum((across**2).sum(axis=1), 1e-18), (rotated * previous).sum(axis=1)
-    values = ((rotated**2).sum(axis=1) * (previous @ baseline) - along * (rotated @ baseline)) / square
+    square, along = np.maximum(np.vecdot(across, across), 1e-18), np.vecdot(rotated, previous)
+    rotated_square, rotated_along = np.vecdot(rotated, rotated), rotated @ baseline
+    values = (rotated_square * (previous @ baseline) - along * rotated_along) / square
     # How fast the image of the point moves along its epipolar line when rho changes.
     seen = previous - values[:, None] * baseline
     turned, step = seen @ rotation.matrix(), rotation.unrotate(baseline)
     line = (step[2] * turned[:, :2] - step[:2] * turned[:, 2:]) / turned[:, 2:] ** 2
-    speed = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
+    speed = np.maximum(np.hypot(*line.T), 1e-9)
     sigmas = noise / (focal * speed)
     if covariances is not None:
         sigmas *= np.sqrt(variances_along(line, covariances)) / speed
     if covariance is None:
         return InverseDepths.independent(ids, values, sigmas)
     # For y = R (1 + [w]x) y0 and b + |b| B d the cross product above changes by (R w x y) x seen - rho y x (|b| B d).
-    J_rotation = -(across @ rotation.matrix()) * (rotated * seen).sum(axis=1)[:, None]
+    facing = np.vecdot(rotated, seen)
+    J_rotation = -(across @ rotation.matrix()) * facing[:, None]
     basis = np.linalg.norm(baseline) * gtsam.Unit3(baseline).basis()
-    J_direction = (values * (rotated @ baseline))[:, None] * (rotated @ basis)
+    J_direction = (values * rotated_along)[:, None] * (rotated @ basis)
     J_motion = np.hstack([J_rotation, J_direction]) / square[:, None]
-    return InverseDepths(ids, values, sigmas, J_motion @ square_root(covariance))
+    # Likewise, with the rays of both views: by across x rotated and seen x across.
+    J_previous = rotated_square[:, None] * baseline - rotated_along[:, None] * rotated
+    J_current = (seen @ baseline)[:, None] * rotated - facing[:, None] * baseline
+    J_depths = by_calibration(previous, J_previous[:, :2])
+    J_depths += by_calibration(matched.current, J_current @ rotation.matrix()[:, :2])
+    J_depths /= square[:, None]
+    if J_calibration is not None:
+        J_depths += J_motion @ J_calibration
+    return InverseDepths(ids, values, sigmas, J_motion @ square_root(covariance), J_depths)
 
 
-def scale_ratio(unit: InverseDepths, known: InverseDepths) -> LogScale | None:
+@dataclass(frozen=True)
+class ScaleRatio:
+    """Scale at which newly triangulated depths agree with known ones.
+
+    Attributes:
+        scale: Its logarithm.
+        J_calibration: (2,) how this changes with the calibration.
+    """
+
+    scale: LogScale
+    J_calibration: NDArray[np.float64]
+
+
+def scale_ratio(unit: InverseDepths, known: InverseDepths) -> ScaleRatio | None:
     """Scale at which newly triangulated depths agree with known ones; None with too few points in common.
 
     What the depths of either err together does not average out over points: it is estimated along with the scale,
@@ -104,8 +131,12 @@ def scale_ratio(unit: InverseDepths, known: InverseDepths) -> LogScale | None:
         if (found[0] - before) ** 2 * weight.sum() < CONVERGED**2:
             break
     residual = ((log_ratio - design @ found) / noise)[:, None]
-    covariance = m_estimator_covariance(residual, 1 / noise[:, None, None], RATIO_KERNEL, np.arange(len(noise)))
-    return None if covariance is None else LogScale(float(found[0]), float(covariance[0, 0]))
+    covariance = m_estimator_covariance(residual, 1 / noise[:, None, None], RATIO_KERNEL)
+    if covariance is None:
+        return None
+    J_log_ratio = unit.J_calibration / unit.values[:, None] - known.J_calibration / known.values[:, None]
+    J_calibration = np.linalg.solve(information, weighted.T @ J_log_ratio)[0]
+    return ScaleRatio(LogScale(float(found[0]), float(covariance[0, 0])), J_calibration)
 
 
 def typical_depth(

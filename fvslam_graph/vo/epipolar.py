@@ -79,7 +79,7 @@ def calibration_jacobian(
     normal, foot, weight, distance = _perpendicular(matched.previous @ essential, matched)
     line = matched.previous @ essential[:, :2]
     J_line = bends(matched.previous) @ essential[:2]  # (7, N, 3)
-    moved = (J_line[:, :, :2] * foot).sum(axis=2) + J_line[:, :, 2] + (line * bends(matched.current)).sum(axis=2)
+    moved = np.vecdot(J_line[:, :, :2], foot) + J_line[:, :, 2] + np.vecdot(line, bends(matched.current))
     # How much longer distances become in the image: along the normal, bends grow so much.
     (x, y), (a, b) = matched.current[:, :2].T, normal.T
     square, across = x * x + y * y, (a * x + b * y) ** 2
@@ -120,7 +120,7 @@ def _perpendicular(
     """
     length = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-9)  # a point on the epipole has no line
     normal = line[:, :2] / length[:, None]
-    off = (line * matched.current).sum(axis=1)
+    off = np.vecdot(line, matched.current)
     weight = matched.focal / length
     if matched.covariances is not None:
         weight = weight / np.sqrt(variances_along(normal, matched.covariances))

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fvslam_graph.core.camera import Camera, Image
+from fvslam_graph.core.camera import Camera, Image, by_calibration
 from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.quick import median
@@ -47,12 +47,14 @@ class GroundPlane:
         log_variance: Variance of log |p| from the patches themselves and from the motion between the views.
         patches: How many patches lie on it.
         roughness: How far they lie off it, as a share of what they may.
+        J_calibration: (2,) how log |p| changes with the logarithm of the focal length and with k1.
     """
 
     plane: NDArray[np.float64]
     log_variance: float
     patches: int
     roughness: float
+    J_calibration: NDArray[np.float64]
 
 
 class GroundAligner:
@@ -171,7 +173,7 @@ class GroundAligner:
         )
         start = (self._grid - offset).astype(np.float32)
         found, good = _lucas_kanade(previous[top:], warped, start, start, 1)
-        good &= np.linalg.norm(found - start, axis=1) < _SEARCH
+        good &= np.hypot(*(found - start).T) < _SEARCH
         in_current = np.column_stack([found[good] + offset, np.ones(good.sum())]) @ homography.T
         ray, ray_current = self._rays[good], camera.rays(in_current[:, :2] / in_current[:, 2:])
         epipolar, _ = epipolar_distance(MatchedRays(ray, ray_current, camera.fx), rotation, direction)
@@ -180,7 +182,14 @@ class GroundAligner:
             return None
         ids = np.flatnonzero(good)[kept].astype(np.int64)
         matched = MatchedRays(ray[kept], ray_current[kept], camera.fx)
-        depths = triangulate(ids, matched, rotation, direction, covariance=relative_pose.covariance)
+        depths = triangulate(
+            ids,
+            matched,
+            rotation,
+            direction,
+            covariance=relative_pose.covariance,
+            J_calibration=relative_pose.J_calibration,
+        )
         return ray[kept], depths
 
     def _hypothesise(
@@ -220,22 +229,24 @@ class GroundAligner:
             error = (depths.values - predicted) / tolerance
             spread = min(1.0, max(MIN_SPREAD, median(np.abs(error)) / 0.6745))
             weight = (1 + (error / min(LIMIT, KERNEL * spread)) ** 2) ** -2
-            information = weight / (spread * tolerance) ** 2
+            weighted = (weight / (spread * tolerance) ** 2)[:, None] * ray
             # Only the components across the normal are known beforehand.
             across = (np.eye(3) - np.outer(self.normal, self.normal)) / (self.normal_sigma * length) ** 2
-            normal_matrix = (ray * information[:, None]).T @ ray + across
-            before, plane = plane, np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.values)
+            normal_matrix = weighted.T @ ray + across
+            before, plane = plane, np.linalg.solve(normal_matrix, weighted.T @ depths.values)
             if (plane - before) @ normal_matrix @ (plane - before) < CONVERGED**2:
                 break
         patches = int((np.abs(error) < LIMIT).sum())
-        along = plane / np.linalg.norm(plane)
+        along = plane / float(plane @ plane)
+        gain = np.linalg.solve(normal_matrix, along)
+        by_depth = weighted @ gain  # how log |p| changes with each depth
         # Of what the patches err on their own, and of what the motion makes them err together.
-        common = np.linalg.solve(normal_matrix, (ray * information[:, None]).T @ depths.common)
-        variance = float(along @ np.linalg.solve(normal_matrix, along)) + float(((along @ common) ** 2).sum())
-        log_variance = variance / float(plane @ plane)
+        log_variance = float(along @ gain) + float(((by_depth @ depths.common) ** 2).sum())
+        # By another calibration, they are at other depths and are seen elsewhere.
+        J_calibration = by_depth @ (depths.J_calibration - by_calibration(ray, plane[:2]))
         if patches < self.settings.min_patches or plane @ self.normal <= 0:
             return None
-        return GroundPlane(plane, log_variance, patches, spread)
+        return GroundPlane(plane, log_variance, patches, spread, J_calibration)
 
     def _tolerance(self, depths: InverseDepths, predicted: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.hypot(depths.sigmas, self.settings.roughness * predicted)

@@ -32,7 +32,7 @@ def m_estimator_covariance(
     residual: NDArray[np.float64],
     jacobian: NDArray[np.float64],
     loss_scale: float,
-    clusters: NDArray[np.intp],
+    clusters: NDArray[np.intp] | None = None,
     prior: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
     """Covariance of an M-estimate with a Cauchy loss, by the residuals themselves: no noise level is assumed.
@@ -41,7 +41,8 @@ def m_estimator_covariance(
         residual: (N, R) at the estimate, of each of N measurements.
         jacobian: (N, R, P) of the residuals.
         loss_scale: Of the loss of a measurement, in the residuals' unit.
-        clusters: (N,) numbers of groups of measurements, which are independent of other groups and need not be within.
+        clusters: (N,) numbers of groups of measurements, which are independent of other groups and need not be within;
+            None where all are independent.
         prior: (P, P) information that there is besides the residuals.
 
     Returns:
@@ -49,11 +50,11 @@ def m_estimator_covariance(
 
     Source: Huber, Robust Statistics, section 6.3; Liang and Zeger 1986 (clusters).
     """
-    weight = 1 / (1 + (residual**2).sum(axis=1) / loss_scale**2)
+    weight = 1 / (1 + np.vecdot(residual, residual) / loss_scale**2)
     weighted = weight[:, None, None] * jacobian
     information = np.einsum("nri,nrj->ij", weighted, jacobian)
     gradients = (weighted * residual[:, :, None]).sum(axis=1)
-    scores = clustered(gradients, clusters)
+    scores = gradients if clusters is None else clustered(gradients, clusters)
     count, parameters = len(scores), float(jacobian.shape[2])
     if prior is not None:
         parameters = float(np.trace(np.linalg.solve(information + prior, information)))  # as far as residuals tell them

@@ -25,7 +25,7 @@ from fvslam_graph.vo.epipolar import MatchedRays
 from fvslam_graph.vo.keyframe_motion import KeyframeMotion, relative_variance, turning
 from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
 from fvslam_graph.vo.motion_model import ConstantVelocity
-from fvslam_graph.vo.relative_pose import TwoViews, estimate_relative_pose
+from fvslam_graph.vo.relative_pose import RelativePose, TwoViews, estimate_relative_pose
 from fvslam_graph.vo.rotation import fit_rotation, hidden_parallax
 from fvslam_graph.vo.scale import MetricScale
 
@@ -126,7 +126,13 @@ class MotionMeasurement:
         if self.is_worn_out(view.keyframe, tracks):  # what is left of the keyframe is triangulated while it can be
             errors = square_root(refined.direction_covariance)
             new = tracks[~np.isin(tracks.ids, known.depths.ids)]
-            found = self._triangulated(new, refined.pose.mean, refined.noise, refined.direction_covariance)
+            found = self._triangulated(
+                new,
+                refined.pose.mean,
+                refined.noise,
+                refined.direction_covariance,
+                refined.J_direction @ refined.J_calibration,
+            )
             known = MetricMap(known.depths.fused(found[found.values > 0]), known.variance)
         # The map's scale is uncertain, and the distance travelled in it likewise.
         pose = refined.pose.with_scale_variance(known.variance)
@@ -163,13 +169,11 @@ class MotionMeasurement:
         relative_pose = replace(relative_pose, inliers=inliers, current=current)
         with view.stopwatch.stage("scale"):
             tracks = replace(tracks, current=current)[inliers]
-            unit = self._triangulated(tracks, relative_pose.unit_pose, relative_pose.noise, relative_pose.covariance)
+            unit = self._by_two_views(tracks, relative_pose)
             # Where keyframes follow each other, depths by one motion in the next one would make its errors grow.
             if trusted is not None and not view.first and not relative_pose.is_certain:
                 relative_pose = with_known_depths(relative_pose, tracks, unit, trusted, self._camera) or relative_pose
-                unit = self._triangulated(
-                    tracks, relative_pose.unit_pose, relative_pose.noise, relative_pose.covariance
-                )
+                unit = self._by_two_views(tracks, relative_pose)
             fallback = self._motion_model.distance(view.frame.stamp - keyframe.frame.stamp)
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = _guess(unit, view.distance)
@@ -205,12 +209,24 @@ class MotionMeasurement:
         hidden = max(parallax, self._settings.static_parallax) / self._camera.fx
         return KeyframeMotion(turning(rotation, hidden, view.distance, view.expected), view.tracks, view.keyframe.map)
 
+    def _by_two_views(self, tracks: Tracks, relative: RelativePose) -> InverseDepths:
+        return self._triangulated(
+            tracks, relative.unit_pose, relative.noise, relative.covariance, relative.J_calibration
+        )
+
     def _triangulated(
-        self, tracks: Tracks, keyframe_T_cur: gtsam.Pose3, noise: float, covariance: NDArray[np.float64]
+        self,
+        tracks: Tracks,
+        keyframe_T_cur: gtsam.Pose3,
+        noise: float,
+        covariance: NDArray[np.float64],
+        J_calibration: NDArray[np.float64],
     ) -> InverseDepths:
-        """Inverse depths of tracks by a motion, with the covariance of its rotation and direction."""
+        """Inverse depths of tracks by a motion; covariance and Jacobian (5, 2) of its rotation and direction."""
         matched, motion = MatchedRays.of(self._camera, tracks), keyframe_T_cur
-        return triangulate(tracks.ids, matched, motion.rotation(), motion.translation(), noise, covariance)
+        return triangulate(
+            tracks.ids, matched, motion.rotation(), motion.translation(), noise, covariance, J_calibration
+        )
 
     def _seed(self) -> int:
         return int(self._rng.integers(2**31))

@@ -83,8 +83,9 @@ class VisualOdometry:
         if config.scale.source is ScaleSource.PLANE and ground is not None:
             aligner = GroundAligner(camera, ground.normal, ground.normal_sigma, config.scale.ground)
         self._motion_model = ConstantVelocity(config.vo)
-        scale, rng = MetricScale(config.scale, aligner, true_baseline), np.random.default_rng(config.seed)
-        self._measurement = MotionMeasurement(camera, config.vo, scale, self._motion_model, rng)
+        self._scale = MetricScale(config.scale, aligner, true_baseline)
+        rng = np.random.default_rng(config.seed)
+        self._measurement = MotionMeasurement(camera, config.vo, self._scale, self._motion_model, rng)
         self._relative = config.scale.relative
         self._scale_known: bool | None = None  # None before the first map
         self._gate = MotionGate()
@@ -150,6 +151,16 @@ class VisualOdometry:
             self._keyframe = replace(self._keyframe, map=known, map_is_weak=weak)
         return replace(estimate, map_is_doubtful=weak and not clear)
 
+    def correct_scale(self, calibration: NDArray[np.float64]) -> None:
+        """Carry the scale as it would be by another calibration of the images.
+
+        What the source measures stays as it is: a step in it would bend the path.
+
+        Args:
+            calibration: (2,) what is to be added to the logarithm of the focal length and to k1.
+        """
+        self._scale.calibration = calibration
+
     def recalibrate(self, frame: Frame, estimate: VoEstimate) -> None:
         """Go on with images that are rectified otherwise.
 
@@ -205,7 +216,7 @@ class VisualOdometry:
             return None
         last, current = self._seen.current[before], tracks.current[now]
         limit = self.settings.static_rotation * self.camera.fx
-        if median(np.linalg.norm(current - last, axis=1)) > limit:
+        if median(np.hypot(*(current - last).T)) > limit:
             return None
         rotation, unexplained = fit_rotation(self.camera.rays(last), self.camera.rays(current), self.camera.fx)
         return rotation if hidden_parallax(unexplained) < self.settings.static_parallax else None
@@ -240,7 +251,9 @@ class VisualOdometry:
         estimate = self._estimate(frame, motion.keyframe_T_cur, Status.TRACKED)
         mine, theirs = motion.map.depths.match(motion.tracks.ids)
         seen = self.camera.rays(motion.tracks.keyframe[theirs])
-        depths = motion.map.depths[mine].seen_from(seen, motion.keyframe_T_cur.mean, motion.errors)
+        depths = motion.map.depths[mine].seen_from(
+            seen, motion.keyframe_T_cur.mean, motion.errors, motion.J_calibration
+        )
         here = MetricMap(depths, motion.map.variance)
         return replace(
             estimate,

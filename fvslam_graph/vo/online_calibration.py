@@ -44,15 +44,19 @@ class OnlineCalibration:
     """Rectifies images again where pairs of them show that their calibration is wrong.
 
     A new calibration bends the path where it comes in. So the file is believed until its error is certain, and so large
-    that it shows in single pairs.
+    that it shows in single pairs. What is certain and small corrects the scale, which bends nothing.
 
     Args:
         camera: As its file has it, undistorted.
         enabled: Whether the calibration is corrected at all.
+
+    Attributes:
+        applied: (2,) what is added to the file's logarithm of the focal length and to its k1,
+        left: and what would have to be added to those of the rectified images, as far as it is certain.
     """
 
     def __init__(self, camera: Camera, enabled: bool = True) -> None:
-        self.applied = np.zeros(CORRECTED)  # what is added to the file's
+        self.applied, self.left = np.zeros(CORRECTED), np.zeros(CORRECTED)
         self._camera, self._enabled = camera, enabled
         self._before: Recalibration | None = None
         self._now: Recalibration | None = None
@@ -87,12 +91,13 @@ class OnlineCalibration:
         free[:CORRECTED] |= self.applied != 0
         mean = errors.likeliest(free)
         if self._now is None and self._pairs.gain(mean) < GROSS:
+            self.left = mean[:CORRECTED]
             return None
         correction = CalibrationCorrection(mean[:CORRECTED], errors.sigmas[:CORRECTED], self._pairs.news(CORRECTED))
         if self._now is None:
             self._warn(correction)
             self._pairs, self._next = CalibrationPairs(), MIN_PAIRS  # these were linearised where it was wrong
-        self.applied = correction.mean
+        self.applied, self.left = correction.mean, np.zeros(CORRECTED)
         self._before, self._now = self._now, Recalibration(self._camera, self._camera.corrected(mean))
         return correction
 

@@ -200,9 +200,7 @@ class _MatchedTracks:
         endless = endless[:, :2] / np.maximum(endless[:, 2:], 1e-3)  # where a point would be at any distance
         step = rotation.unrotate(direction)
         nearer = endless * step[2] - step[:2]  # whereto it goes if it is nearer
-        moved = ((self.rays.current[:, :2] - endless) * nearer).sum(axis=1) / np.maximum(
-            np.linalg.norm(nearer, axis=1), 1e-9
-        )
+        moved = np.vecdot(self.rays.current[:, :2] - endless, nearer) / np.maximum(np.hypot(*nearer.T), 1e-9)
         return np.asarray(self.rays.focal * moved > -limit)
 
 

@@ -46,7 +46,7 @@ class ReprojectionErrors:
     @property
     def squares(self) -> Array:
         """(N,) squared lengths."""
-        squares: Array = (self.values**2).sum(axis=1)
+        squares: Array = np.vecdot(self.values, self.values)
         return squares
 
     @property
@@ -91,9 +91,9 @@ def reprojection_errors(
 
     variance = depths.sigmas**2
     _, _, _, error, line = project(depths.values)
-    square = np.maximum((line**2).sum(axis=1), 1e-12)
+    square = np.maximum(np.vecdot(line, line), 1e-12)
     share = 1 / (1 + noise**2 / np.maximum(variance * square, 1e-300))  # of the way to where the image has the point
-    likeliest = depths.values - share * (error * line).sum(axis=1) / square
+    likeliest = depths.values - share * np.vecdot(error, line) / square
     xy, depth, near, error, line = project(likeliest)
     error = error + line * (depths.values - likeliest)[:, None]
 
@@ -103,7 +103,7 @@ def reprojection_errors(
     J_pose[:, 0] = camera.fx * np.stack([x * y, -(1 + x * x), y, -near, zero, near * x], axis=1)
     J_pose[:, 1] = camera.fy * np.stack([1 + y * y, -x * y, -x, zero, -near, near * y], axis=1)
 
-    speed = np.linalg.norm(line, axis=1)
+    speed = np.hypot(*line.T)
     along = np.where(speed[:, None] > 1e-6, line, [1.0, 0.0]) / np.where(speed > 1e-6, speed, 1.0)[:, None]
     axes = np.stack([np.stack([-along[:, 1], along[:, 0]], axis=1), along], axis=1)
     S = axes @ tracks.covariances @ axes.mT
@@ -122,6 +122,7 @@ def reprojection_errors(
     def J_calibration() -> Array:
         there = (tracks.current - centre) / focal
         changes: Array = white @ _calibration_jacobian(rays[:, :2], there, R, (xy, depth), focal)
+        changes[:, 1] += (speed / sigma)[:, None] * depths.J_calibration
         return changes
 
     return ReprojectionErrors(values, white @ J_pose, J_common, S[:, 0, 0] < 2, ahead, J_calibration)

@@ -33,7 +33,7 @@ def fit_rotation(
     for _ in range(_ROTATION_ITERATIONS):
         rotation = gtsam.Rot3.ClosestTo((a * weight[:, None]).T @ b)
         off = a - b @ rotation.matrix().T
-        residual = focal * np.sqrt((off * off).sum(axis=1))
+        residual = focal * np.sqrt(np.vecdot(off, off))
         weight = 1 / np.maximum(residual, 0.1)
     return rotation, residual
 

@@ -47,6 +47,7 @@ class MetricScale:
         self._aligner = aligner
         self._true_baseline = true_baseline
         self._filter = ScaleFilter(settings)
+        self.calibration = np.zeros(2)  # what is to be added to the images', for the scale that the map carries
 
     def estimate(
         self, views: TwoViews, known: MetricMap, fallback: LogScale, rng: np.random.Generator
@@ -70,9 +71,11 @@ class MetricScale:
             predicted = transition = fallback
             self._filter.begin(fallback.variance)
         else:
-            self._filter.carry(known.variance, ratio.variance)
-            transition = LogScale(ratio.mean, ratio.variance + self.settings.map_sigma**2)
-            predicted = LogScale(ratio.mean, transition.variance + known.variance)
+            # By a wrong calibration, new depths are wrong otherwise than old ones: in a turn, the scale drifts.
+            mean = ratio.scale.mean + float(ratio.J_calibration @ self.calibration)
+            self._filter.carry(known.variance, ratio.scale.variance)
+            transition = LogScale(mean, ratio.scale.variance + self.settings.map_sigma**2)
+            predicted = LogScale(mean, transition.variance + known.variance)
         if self.settings.source is ScaleSource.UNIT:
             scale = LogScale(0.0, 1.0)
             step = ScaleStep(scale, predicted=scale)
@@ -86,7 +89,10 @@ class MetricScale:
             plane = self._from_plane(views, predicted, rng)
             scale = self._filter.update(predicted.mean, plane)
             step = self._smoothing_step(scale, transition, plane, views.previous.height_sigma)
-        old = known.depths if ratio is None else known.depths.scaled(scale.metres / predicted.metres)
+        old = known.depths
+        if ratio is not None:
+            step = replace(step, J_predicted=ratio.J_calibration, calibration=self.calibration)
+            old = old.scaled(scale.metres / ratio.scale.metres, -ratio.J_calibration)
         new = views.depths.scaled(scale.metres)
         return step, MetricMap(old.fused(new[new.values > 0]), scale.variance)
 
@@ -101,7 +107,8 @@ class MetricScale:
         bias_sigma, plane_sigma = self.settings.bias_sigma, self.settings.plane_sigma
         share = plane.roughness if plane is not None and height_sigma > 0 else 1.0
         measured = None if plane is None else replace(plane, roughness=share).measurement(plane_sigma)
-        return ScaleStep(scale, transition, measured, (share * bias_sigma) ** 2, self._filter.bias_decay)
+        step = ScaleStep(scale, transition, measured, (share * bias_sigma) ** 2, self._filter.bias_decay)
+        return step if plane is None else replace(step, J_measured=plane.J_calibration)
 
     def _from_plane(self, views: TwoViews, predicted: LogScale, rng: np.random.Generator) -> GroundScale | None:
         """The scale by one view of the ground."""
@@ -116,4 +123,5 @@ class MetricScale:
         if ground is None:
             return None
         variance = ground.log_variance + (previous.height_sigma / height) ** 2
-        return GroundScale(math.log(height * float(np.linalg.norm(ground.plane))), variance, ground.roughness)
+        mean = math.log(height * float(np.linalg.norm(ground.plane)))
+        return GroundScale(mean, variance, ground.roughness, ground.J_calibration)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,13 @@ class GroundScale:
         mean: Logarithm of the metres of a baseline.
         variance: Of this, without what the ground lies off the plane that it is taken for.
         roughness: How far it does, as a share of what is usual at most.
+        J_calibration: (2,) how the mean changes with the logarithm of the focal length and with k1.
     """
 
     mean: float
     variance: float
     roughness: float
+    J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
 
     def measurement(self, plane_sigma: float) -> LogScale:
         """What is new in this view, as a measurement: on the roughest ground it errs by `plane_sigma` for itself."""

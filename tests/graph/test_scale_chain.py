@@ -260,12 +260,17 @@ def test_motions_from_the_first_frame_have_the_scale_of_its_map():
     assert graph.solver.covariance(newest)[0, 0] == pytest.approx(made[-1].length.variance, rel=1e-4)
 
 
+def of_scale(variance: float) -> OdometryStep:
+    """A motion from the first frame, in a scale that is known so well."""
+    return OdometryStep(0, motion(made := ScaleStep(*2 * [LogScale(0.0, variance)])), made, variance)
+
+
 def test_the_length_against_the_built_in_range():
     """With the scale as a constant, it is GTSAM's range between two poses, wherever these are."""
     update = PendingUpdate(Solver(GraphSettings()))
     chain = ScaleChain(update)
     variance = 0.03**2
-    chain.extend(0, 1, ScaleStep(LogScale(0.0, variance), LogScale(0.0, variance)), variance)
+    chain.extend(1, of_scale(variance))
     away = gtsam.Pose3.Expmap(np.array([0.3, -0.5, 0.8, 3.0, -2.0, 5.0]))
     assert chain.measure(0, 1, scale_key(1), GaussianPose(STEP, (1e-3 * METRES) ** 2 * np.eye(6)), away)
     sigma = math.hypot(1e-3, LENGTH_SIGMA) * METRES
@@ -295,7 +300,7 @@ def test_the_length_of_a_motion_whose_direction_is_doubtful():
     for _ in range(300):
         update = PendingUpdate(Solver(GraphSettings()))
         chain = ScaleChain(update)
-        chain.extend(0, 1, ScaleStep(LogScale(0.0, 1.0), LogScale(0.0, 1.0)), 1.0)
+        chain.extend(1, of_scale(1.0))
         assert chain.measure(0, 1, scale_key(1), GaussianPose(STEP, own), gtsam.Pose3())
         at = gtsam.Values()
         at.insert(pose_key(0), gtsam.Pose3())
@@ -304,6 +309,27 @@ def test_the_length_of_a_motion_whose_direction_is_doubtful():
         at.insert(scale_key(1), 0.0)
         squares.append(2 * update.factors.at(update.factors.size() - 1).error(at))
     assert 0.5 < np.mean(squares) < 1.5  # measured 1.0, and 7000 without
+
+
+def test_the_drift_of_a_carried_scale_tells_the_calibration():
+    """What the map and the ground say changes with it: with the right one, they agree."""
+    k1, J_predicted, J_measured = 0.02, np.array([0.1, -1.0]), np.array([0.0, 0.5])
+    true, made = LogScale(math.log(METRES), DRIFT**2), []
+    for number in range(60):
+        turns = 20 <= number < 40
+        J = J_predicted if turns else np.zeros(2)
+        carried = LogScale(true.mean - k1 * J[1], 1e-4**2 if number else 1.0)
+        ground = LogScale(true.mean - k1 * J_measured[1], SETTINGS.plane_sigma**2)
+        made.append(ScaleStep(true, carried, ground, 0.001**2, 0.5, J, J_measured))
+    graph = Graph(CAMERA, GraphSettings(distortion_sigma=0.05))
+    graph.add_odometry(0.0, OdometryStep(0, GaussianPose.identity()))
+    for number, step in enumerate(made):
+        graph.add_odometry(0.1 * (number + 1), OdometryStep(number, motion(step), step, step.length.variance))
+        if number % 5 == 4:
+            graph.fuse(NOTHING)
+    found = graph.calibration
+    assert found is not None and found.k1 == pytest.approx(k1, abs=0.1 * k1) and found.k1_sigma < 0.1 * k1
+    assert lengths(graph) == pytest.approx(METRES, rel=0.01)
 
 
 def test_a_lag_leaves_scales_behind():

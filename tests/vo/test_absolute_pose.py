@@ -31,7 +31,7 @@ def depths_of(scene, sigma, seed: int = 0, common=None) -> InverseDepths:
     common = np.zeros((len(values), COMMON_ERRORS)) if common is None else common
     errors = np.where(np.isfinite(sigma), sigma, 0.0) * rng.standard_normal(len(values)) * values
     off = common @ rng.standard_normal(COMMON_ERRORS)
-    return InverseDepths(scene.tracks.ids, values + errors + off, sigma * values, common)
+    return InverseDepths(scene.tracks.ids, values + errors + off, sigma * values, common, np.zeros((len(values), 2)))
 
 
 def hardly_known(depths: InverseDepths) -> InverseDepths:

@@ -1,11 +1,14 @@
 """Inverse depths: triangulated, put together and carried into another camera."""
 
+from collections.abc import Callable
+
 import gtsam
 import numpy as np
 import pytest
 
+from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.inverse_depths import COMMON_ERRORS, InverseDepths
-from fvslam_graph.vo.depth import PIXEL_NOISE, scale_ratio, triangulate
+from fvslam_graph.vo.depth import PIXEL_NOISE, ScaleRatio, scale_ratio, triangulate
 from fvslam_graph.vo.epipolar import MatchedRays
 
 MOTION = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.02, -0.03, 0.05])), np.array([0.6, -0.2, 0.5]))
@@ -69,6 +72,37 @@ def test_shared_errors_by_finite_differences(camera, two_views):
     assert not from_scene(camera, scene).common.any()
 
 
+def by_calibration(
+    camera: Camera, values: Callable[[Camera, np.ndarray], np.ndarray], step: float = 1e-6
+) -> np.ndarray:
+    """How `values` of a camera change with its calibration (2,), by finite differences."""
+
+    def at(change: np.ndarray) -> np.ndarray:
+        return values(camera.corrected(np.concatenate([change, np.zeros(5)])), change)
+
+    return np.column_stack([(at(step * e) - at(-step * e)) / (2 * step) for e in np.eye(2)])
+
+
+def test_depths_by_another_calibration_by_finite_differences(camera, two_views):
+    """With it the rays change, and with these the motion that two views tell."""
+    scene = two_views(MOTION)
+    unit = MOTION.translation() / np.linalg.norm(MOTION.translation())
+    essential = gtsam.EssentialMatrix(MOTION.rotation(), gtsam.Unit3(unit))
+    J_motion = np.random.default_rng(0).standard_normal((5, 2))
+
+    def triangulated(seen: Camera, motion: gtsam.EssentialMatrix, **options) -> InverseDepths:
+        rays = MatchedRays(seen.rays(scene.tracks.keyframe), seen.rays(scene.tracks.current), seen.fx)
+        return triangulate(scene.tracks.ids, rays, motion.rotation(), motion.direction().point3(), **options)
+
+    for J_calibration in (np.zeros((5, 2)), J_motion):
+        found = triangulated(camera, essential, covariance=np.eye(5), J_calibration=J_calibration).J_calibration
+        numeric = by_calibration(
+            camera,
+            lambda seen, change, J=J_calibration: triangulated(seen, essential.retract(J @ change)).values,
+        )
+        assert found == pytest.approx(numeric, rel=1e-4, abs=1e-5 * np.abs(numeric).max())
+
+
 def test_parallax_the_wrong_way_is_a_negative_depth(camera):
     sideways, ahead = np.array([1.0, 0.0, 0.0]), np.array([[0.0, 0.0, 1.0]] * 2)
     moved = np.array([[-0.1, 0.0, 1.0], [0.1, 0.0, 1.0]])
@@ -96,7 +130,7 @@ def test_fused_is_weighted_by_information():
 
 def test_what_is_shared_averages_out_with_the_rest():
     ids, values, sigmas = np.arange(3), np.full(3, 0.1), np.array([0.01, 0.02, 0.03])
-    once = InverseDepths(ids, values, sigmas, np.ones((3, 5)))
+    once = InverseDepths(ids, values, sigmas, np.ones((3, 5)), np.zeros((3, 2)))
     again = once.fused(once)
     assert again.sigmas == pytest.approx(sigmas / 2**0.5)
     assert again.common @ again.common.T == pytest.approx(once.common @ once.common.T / 2)
@@ -105,8 +139,8 @@ def test_what_is_shared_averages_out_with_the_rest():
 def test_what_is_no_longer_in_common_is_not_lost_where_both_know_a_point():
     rng = np.random.default_rng(0)
     common = 1e-2 * rng.standard_normal((40, 10))
-    old = InverseDepths(np.arange(40), np.full(40, 0.1), np.full(40, 1e-3), common)
-    new = InverseDepths(np.arange(40), np.full(40, 0.2), np.full(40, 1e-2), np.zeros((40, 5)))
+    old = InverseDepths(np.arange(40), np.full(40, 0.1), np.full(40, 1e-3), common, np.zeros((40, 2)))
+    new = InverseDepths(np.arange(40), np.full(40, 0.2), np.full(40, 1e-2), np.zeros((40, 5)), np.zeros((40, 2)))
     both = old.fused(new)
     own = old.compressed().sigmas
     weight = own**-2 / (own**-2 + 1e-2**-2)
@@ -118,7 +152,7 @@ def test_what_is_no_longer_in_common_is_not_lost_where_both_know_a_point():
 def test_of_errors_in_common_the_most_important_are_kept():
     rng = np.random.default_rng(0)
     common = rng.standard_normal((40, 10)) * np.geomspace(1e-2, 1e-4, 10)
-    depths = InverseDepths(np.arange(40), np.full(40, 0.1), np.full(40, 1e-3), common)
+    depths = InverseDepths(np.arange(40), np.full(40, 0.1), np.full(40, 1e-3), common, np.zeros((40, 2)))
     fewer = depths.compressed()
     assert fewer.common.shape == (40, COMMON_ERRORS)
     assert fewer.total_sigmas == pytest.approx(depths.total_sigmas)
@@ -157,9 +191,9 @@ def test_moved_sigmas_by_finite_differences(camera, two_views):
     values, sigmas = 1 / scene.points[:, 2], np.linspace(0.001, 0.01, len(scene.points))
 
     def moved(change: float) -> InverseDepths:
-        return InverseDepths(scene.tracks.ids, values + change, sigmas, np.outer(sigmas, np.arange(5))).seen_from(
-            ray, MOTION
-        )
+        common = np.outer(sigmas, np.arange(5))
+        depths = InverseDepths(scene.tracks.ids, values + change, sigmas, common, np.zeros((len(values), 2)))
+        return depths.seen_from(ray, MOTION)
 
     derivative = (moved(step).values - moved(-step).values) / (2 * step)
     assert moved(0).sigmas == pytest.approx(sigmas * np.abs(derivative), rel=1e-5)
@@ -171,7 +205,9 @@ def test_moved_by_a_motion_that_errs_by_finite_differences(camera, two_views):
     ray, values = camera.rays(scene.tracks.keyframe), 1 / scene.points[:, 2]
     length = np.linalg.norm(MOTION.translation())
     essential = gtsam.EssentialMatrix(MOTION.rotation(), gtsam.Unit3(MOTION.translation()))
-    depths = InverseDepths(scene.tracks.ids, values, 0.01 * values, np.zeros((len(values), 5)))
+    depths = InverseDepths(
+        scene.tracks.ids, values, 0.01 * values, np.zeros((len(values), 5)), np.zeros((len(values), 2))
+    )
 
     def moved(change: np.ndarray) -> np.ndarray:
         motion = essential.retract(change)
@@ -181,6 +217,22 @@ def test_moved_by_a_motion_that_errs_by_finite_differences(camera, two_views):
     numeric = np.column_stack([(moved(step * e) - moved(-step * e)) / (2 * step) for e in np.eye(5)])
     found = depths.seen_from(ray, MOTION, np.eye(5)).common
     assert found == pytest.approx(numeric, rel=1e-4, abs=1e-6 * np.abs(numeric).max())
+
+
+def test_moved_by_another_calibration_by_finite_differences(camera, two_views):
+    scene, rng = two_views(MOTION), np.random.default_rng(0)
+    values = 1 / scene.points[:, 2]
+    J_depths, J_motion = 0.1 * rng.standard_normal((len(values), 2)), rng.standard_normal((6, 2))
+
+    def moved(seen: Camera, change: np.ndarray) -> InverseDepths:
+        depths = InverseDepths(
+            scene.tracks.ids, values + J_depths @ change, values, np.zeros((len(values), 0)), J_depths
+        )
+        return depths.seen_from(seen.rays(scene.tracks.keyframe), MOTION.retract(J_motion @ change), None, J_motion)
+
+    numeric = by_calibration(camera, lambda seen, change: moved(seen, change).values)
+    found = moved(camera, np.zeros(2)).J_calibration
+    assert found == pytest.approx(numeric, rel=1e-4, abs=1e-5 * np.abs(numeric).max())
 
 
 def test_points_that_are_passed_are_dropped():
@@ -205,24 +257,45 @@ def two_triangulations(seed: int, own: float, common: float, count: int = 100) -
     for length in (2.0, 1.0):
         sigmas = np.full(count, own * np.median(true) * length)
         values = length * (true + errors @ rng.standard_normal(3)) + sigmas * rng.standard_normal(count)
-        found.append(InverseDepths(np.arange(count), values, sigmas, length * errors))
+        found.append(InverseDepths(np.arange(count), values, sigmas, length * errors, np.zeros((count, 2))))
     return found[0], found[1]
 
 
 def test_scale_ratio_is_exact():
     _, known = two_triangulations(0, 0.01, 0.05)
     ratio = scale_ratio(known.scaled(1 / 2), known)
-    assert ratio is not None and ratio.metres == pytest.approx(2.0, rel=1e-12)
+    assert ratio is not None and ratio.scale.metres == pytest.approx(2.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("own", [0.01, 0.05, 0.2])
 def test_scale_ratio_is_consistent(own):
     ratios = [scale_ratio(*two_triangulations(seed, own, 0.0)) for seed in range(300)]
-    errors = np.array([ratio.mean - np.log(2) for ratio in ratios if ratio])
+    errors = np.array([ratio.scale.mean - np.log(2) for ratio in ratios if ratio])
     assert len(errors) == 300
-    squares = errors**2 / [ratio.variance for ratio in ratios if ratio]
+    squares = errors**2 / [ratio.scale.variance for ratio in ratios if ratio]
     assert np.mean(squares) == pytest.approx(1.0, abs=0.35)  # one deviation is 0.08
     assert abs(np.mean(errors)) < 4 * np.std(errors) / np.sqrt(300)
+
+
+def test_scale_ratio_by_another_calibration_by_finite_differences():
+    new, known = two_triangulations(0, 0.02, 0.03)
+    rng, step = np.random.default_rng(0), 1e-5
+    J_new, J_known = (
+        depths.values[:, None] * (share + 0.1 * rng.standard_normal((100, 2)))
+        for depths, share in ((new, [1.0, -2.0]), (known, [0.5, 2.0]))
+    )
+
+    def ratio(change: np.ndarray) -> ScaleRatio:
+        pair = (
+            InverseDepths(depths.ids, depths.values + J @ change, depths.sigmas, depths.common, J)
+            for depths, J in ((new, J_new), (known, J_known))
+        )
+        found = scale_ratio(*pair)
+        assert found is not None
+        return found
+
+    numeric = [(ratio(step * e).scale.mean - ratio(-step * e).scale.mean) / (2 * step) for e in np.eye(2)]
+    assert ratio(np.zeros(2)).J_calibration == pytest.approx(numeric, rel=0.05)  # weights change as well
 
 
 def test_scale_ratio_does_not_follow_errors_in_common():
@@ -236,7 +309,7 @@ def test_scale_ratio_does_not_follow_errors_in_common():
                 pair = tuple(InverseDepths.independent(d.ids, d.values, d.sigmas) for d in pair)
             ratio = scale_ratio(*pair)
             assert ratio is not None
-            found.append(ratio.mean - np.log(2))
+            found.append(ratio.scale.mean - np.log(2))
         return float(np.std(found))
 
     assert errors(forgotten=False) < 0.4 * errors(forgotten=True)
@@ -252,7 +325,7 @@ def test_scale_ratio_of_uncertain_depths_hardly_grows():
         sigmas = np.full(100, 0.2 * np.median(true))
         new = true + common @ rng.standard_normal(3) + sigmas * rng.standard_normal(100)
         known = InverseDepths.independent(ids, true * (1 + 0.01 * rng.standard_normal(100)), 0.01 * true)
-        ratio = scale_ratio(InverseDepths(ids, new, sigmas, common), known)
+        ratio = scale_ratio(InverseDepths(ids, new, sigmas, common, np.zeros((100, 2))), known)
         assert ratio is not None
-        errors.append(ratio.mean)
+        errors.append(ratio.scale.mean)
     assert abs(np.mean(errors)) < 0.07  # measured -0.03, and 0.13 by a share of the depths as they are

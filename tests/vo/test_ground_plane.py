@@ -172,6 +172,28 @@ def test_a_wrong_expectation_does_not_hide_the_ground_for_good(plane_views, view
 
 
 @VIEWS
+def test_ground_by_another_calibration_by_finite_differences(plane_views, view):
+    images, changes = plane_views(view.camera, view.motion, (view.nominal, view.height)), np.array([0.01, 0.03])
+    ray, depths = tracks_on(view, view.nominal)
+
+    def measured(change: np.ndarray) -> GroundPlane:
+        seen = view.camera.corrected(np.concatenate([change, np.zeros(5)]))
+        aligner = GroundAligner(seen, view.nominal, view.tilt, GroundSettings())
+        ground = aligner.measure(
+            two_views(images, view, ray, depths), view.baseline_per_height, np.random.default_rng(0)
+        )
+        assert ground is not None
+        return ground
+
+    def log_scale(change: np.ndarray) -> float:
+        return float(np.log(np.linalg.norm(measured(change).plane)))
+
+    steps = np.diag(changes)
+    numeric = [(log_scale(step) - log_scale(-step)) / (2 * step.sum()) for step in steps]
+    assert measured(np.zeros(2)).J_calibration == pytest.approx(numeric, rel=0.1, abs=0.05)  # patches are found anew
+
+
+@VIEWS
 def test_without_texture_there_is_no_ground(view, plane_views):
     grey = np.full((view.camera.height, view.camera.width), 90, np.uint8)
     for off in (1.0, None):

@@ -2,16 +2,17 @@
 
 import math
 from dataclasses import replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import cv2
 import gtsam
 import numpy as np
 import pytest
 
+from fvslam_graph.core.camera import Distortion
 from fvslam_graph.core.config import load_config
 from fvslam_graph.core.trajectory import Status, Trajectory
-from fvslam_graph.simulation.points import PointScene
+from fvslam_graph.simulation.points import PointScene, simulate, within
 from fvslam_graph.simulation.scene_tracker import SceneTracker
 from fvslam_graph.vo.odometry import VisualOdometry
 
@@ -197,6 +198,33 @@ def test_a_camera_does_not_stand_because_most_points_are_on_the_horizon(camera):
     for index, estimate in enumerate(estimates[1:], start=1):
         error = 0.8 * index - estimate.prev_T_cur.mean.translation()[2]
         assert abs(error) < 4 * math.sqrt(estimate.prev_T_cur.covariance[5, 5])  # measured 1.2 to 2.7
+
+
+@pytest.mark.parametrize(("focal", "k1"), [(0.0, 0.02), (0.0, -0.02), (0.02, 0.0)])
+def test_a_wrong_calibration_makes_the_scale_drift_as_odometry_says(camera, focal, k1):
+    """In a turn: new depths are wrong otherwise than old ones of the same points. Where it is known, nothing drifts."""
+    ahead = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 0.5]))
+    turn = gtsam.Pose3(gtsam.Rot3.Ry(0.04), np.array([0.1, 0.0, 0.5]))
+    poses = tuple(accumulate([ahead] * 10 + [turn] * 25 + [ahead] * 9, gtsam.Pose3.compose, initial=gtsam.Pose3()))
+    fx, fy = math.exp(focal) * camera.fx, math.exp(focal) * camera.fy
+    true = replace(camera, fx=fx, fy=fy, distortion=Distortion.RADTAN, coefficients=(k1, 0.0, 0.0, 0.0))
+    scene = simulate(Trajectory(0.1 * np.arange(len(poses)), poses), true, within(4, 30), landmarks=6000, life=40)
+
+    def drift(known: np.ndarray) -> tuple[float, float]:
+        """Of the logarithm of the scale, as it is and as it is said."""
+        odometry = VisualOdometry(camera, load_config(settings=["scale.source=map"]), tracker=SceneTracker(scene, 300))
+        odometry.correct_scale(known)
+        estimates = [odometry.step(frame) for frame in scene.sequence("points")]
+        measured = [estimate for estimate in estimates if estimate.scale is not None]
+        errors = [
+            math.log(length(e.prev_T_cur.mean) / length(poses[e.previous].between(poses[e.index]))) for e in measured
+        ]
+        return errors[-1] - errors[0], -sum(e.scale.J_predicted @ (focal, k1) for e in measured[1:])
+
+    drifted, said = drift(np.zeros(2))
+    assert abs(drifted) > 0.025
+    assert drifted == pytest.approx(said, rel=0.15)  # measured within 0.04
+    assert abs(drift(np.array([focal, k1]))[0]) < 0.15 * abs(drifted)
 
 
 def turned(camera, image: np.ndarray, rotation: gtsam.Rot3, seed: int) -> np.ndarray:

@@ -84,6 +84,16 @@ def test_what_was_corrected_stays_when_later_pairs_are_not_certain(camera, pair)
     assert not since.applied.any()  # by themselves, they correct nothing
 
 
+def test_what_is_certain_and_small_is_left_to_the_scale(camera):
+    online = OnlineCalibration(camera)
+    k1, information = 0.005, np.diag([1e4, 1.5e5, 1.0, 1.0, 1.0, 1.0, 1.0])  # within 0.0026 by each pair
+    error = np.array([0.0, k1, 0, 0, 0, 0, 0])
+    assert not any(online.add(CalibrationEvidence(information, information @ error)) for _ in range(2))
+    assert not online.left.any()
+    assert not any(online.add(CalibrationEvidence(information, information @ error)) for _ in range(18))
+    assert online.left == pytest.approx([0.0, k1], rel=0.05) and not online.applied.any()
+
+
 def test_it_can_be_switched_off(camera, pair):
     online = OnlineCalibration(camera, enabled=False)
     assert not any(online.add(pair(lens(camera, 0, 0.05), 0, seed)) for seed in range(10))

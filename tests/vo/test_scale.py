@@ -28,7 +28,7 @@ class Plumb:
     """A ground that is always seen as given."""
 
     def __init__(self, baseline_per_height: float, log_variance: float, roughness: float = 1.0) -> None:
-        self.answer = GroundPlane(np.array([0.0, baseline_per_height, 0.0]), log_variance, 100, roughness)
+        self.answer = GroundPlane(np.array([0.0, baseline_per_height, 0.0]), log_variance, 100, roughness, np.zeros(2))
         self.expected: list[float | None] = []
 
     def measure(self, views, expected, rng) -> GroundPlane | None:
