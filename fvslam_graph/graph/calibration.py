@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 CALIBRATION = int(gtsam.symbol("c", 0))
 TAILS = 1.0  # standard deviations, width of a Cauchy distribution
 MAX_K1 = 1.0
-EXACT_SIGMA = 1e-6  # standard deviation of what is not estimated, as no factor is exact
+EXACT_SIGMA = 1e-6  # standard deviation of what is not estimated, as no factor is exact,
+ANY_SIGMA = 1e6  # and of what may be anything
 
 
 class SelfCalibration:
@@ -36,11 +37,16 @@ class SelfCalibration:
         self._sigmas = np.maximum([settings.focal_sigma * camera.fx, settings.distortion_sigma, 0.0], EXACT_SIGMA)
         self.start = gtsam.Cal3Bundler(camera.fx, 0.0, 0.0, camera.cx, camera.cy)
 
-    def prior(self) -> gtsam.NonlinearFactor:
-        """The prior by the file, which is right as a rule, and if it is not, may be wrong by far."""
-        noise = gtsam.noiseModel.Diagonal.Sigmas(self._sigmas)
-        tails = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(TAILS), noise)
-        return gtsam.PriorFactorCal3Bundler(CALIBRATION, self.start, tails)
+    def priors(self) -> list[gtsam.NonlinearFactor]:
+        """The file is right as a rule, and if it is not, may be wrong by far: in the one number or in the other."""
+        factors = []
+        for number in range(2):
+            sigmas = np.where(np.arange(3) == number, self._sigmas, ANY_SIGMA)
+            tails = gtsam.noiseModel.mEstimator.Cauchy.Create(TAILS)
+            noise = gtsam.noiseModel.Robust.Create(tails, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+            factors.append(gtsam.PriorFactorCal3Bundler(CALIBRATION, self.start, noise))
+        held = gtsam.noiseModel.Diagonal.Sigmas([ANY_SIGMA, ANY_SIGMA, EXACT_SIGMA])
+        return [*factors, gtsam.PriorFactorCal3Bundler(CALIBRATION, self.start, held)]
 
     def measured(self, evidence: CalibrationEvidence) -> gtsam.NonlinearFactor:
         """A linear factor of what images say, about the file's calibration."""

@@ -90,7 +90,8 @@ class Graph:
         self._start_height = math.nan
         self._down: Array | None = None  # (3,) in the world, by the first reading of gravity
         if settings.landmarks == "projection":
-            self.add(self._landmark_factors.calibration.prior())
+            for factor in self._landmark_factors.calibration.priors():
+                self.add(factor)
             self._update.insert(CALIBRATION, self._landmark_factors.calibration.start)
 
     def add_odometry(self, stamp: float, step: OdometryStep) -> None:

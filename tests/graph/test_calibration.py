@@ -41,6 +41,19 @@ def test_the_factor_sees_what_the_camera_sees():
         assert factors.projection(0, number, pixel, 0.2, 0).error(values) == pytest.approx(0, abs=1e-12)
 
 
+def test_a_k1_that_leaves_the_file_leaves_the_focal_length_there():
+    """With one kernel for both, either would free the other: in a turn, they make a scale drift alike."""
+    calibration, graph = SelfCalibration(CAMERA, GraphSettings()), gtsam.NonlinearFactorGraph()
+    for prior in calibration.priors():
+        graph.add(prior)
+    at = gtsam.Values()
+    at.insert(CALIBRATION, gtsam.Cal3Bundler(CAMERA.fx, VALUE.k1(), 0.0, CAMERA.cx, CAMERA.cy))
+    information = graph.linearize(at).hessian()[0]
+    held, freed = GraphSettings().focal_sigma * CAMERA.fx, GraphSettings().distortion_sigma
+    assert information[0, 0] == pytest.approx(held**-2)
+    assert information[1, 1] < 0.01 * freed**-2
+
+
 @pytest.mark.parametrize(("focal", "k1"), [(1.0, 0.0), (1.03, 0.0), (1.0, 0.02), (0.97, 0.02), (1.02, -0.02)])
 def test_a_wrong_calibration_is_found(fed, focal, k1):
     """By landmarks, where motions are known apart from it; the path is as good as with the right one."""

@@ -62,7 +62,8 @@ def small() -> Small:
     poses = scene.trajectory.poses
     factors = LandmarkFactors(scene.camera, settings)
     motions.add(pose_factor(0, GaussianPose.identity()))
-    motions.add(factors.calibration.prior())
+    for prior in factors.calibration.priors():
+        motions.add(prior)
     values.insert(CALIBRATION, factors.calibration.start)
     for frame in FRAMES:
         values.insert(pose_key(frame), poses[frame])
