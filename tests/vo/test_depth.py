@@ -72,7 +72,7 @@ def test_shared_errors_by_finite_differences(camera, two_views):
     assert not from_scene(camera, scene).common.any()
 
 
-def by_calibration(
+def numerically_by_calibration(
     camera: Camera, values: Callable[[Camera, np.ndarray], np.ndarray], step: float = 1e-6
 ) -> np.ndarray:
     """How `values` of a camera change with its calibration (2,), by finite differences."""
@@ -96,7 +96,7 @@ def test_depths_by_another_calibration_by_finite_differences(camera, two_views):
 
     for J_calibration in (np.zeros((5, 2)), J_motion):
         found = triangulated(camera, essential, covariance=np.eye(5), J_calibration=J_calibration).J_calibration
-        numeric = by_calibration(
+        numeric = numerically_by_calibration(
             camera,
             lambda seen, change, J=J_calibration: triangulated(seen, essential.retract(J @ change)).values,
         )
@@ -230,7 +230,7 @@ def test_moved_by_another_calibration_by_finite_differences(camera, two_views):
         )
         return depths.seen_from(seen.rays(scene.tracks.keyframe), MOTION.retract(J_motion @ change), None, J_motion)
 
-    numeric = by_calibration(camera, lambda seen, change: moved(seen, change).values)
+    numeric = numerically_by_calibration(camera, lambda seen, change: moved(seen, change).values)
     found = moved(camera, np.zeros(2)).J_calibration
     assert found == pytest.approx(numeric, rel=1e-4, abs=1e-5 * np.abs(numeric).max())
 
