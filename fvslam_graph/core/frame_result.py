@@ -48,6 +48,19 @@ class ClockEstimate:
 
 
 @dataclass(frozen=True)
+class HeightEstimate:
+    """How far the heights that were given are off.
+
+    Attributes:
+        factor: True over given heights.
+        sigma: Its standard deviation.
+    """
+
+    factor: float
+    sigma: float
+
+
+@dataclass(frozen=True)
 class EarthPlacement:
     """Where the world of a run is on Earth.
 
@@ -55,11 +68,13 @@ class EarthPlacement:
         origin: (3,) latitude, longitude (degrees, WGS84) and altitude (m) of the place.
         enu_T_world: From the world to east, north, up at this place, metres; with its covariance.
         clock: How far that of the fixes is off.
+        height: How far the height above the ground is; None where it is exact, or an altimeter's.
     """
 
     origin: NDArray[np.float64]
     enu_T_world: GaussianPose
     clock: ClockEstimate
+    height: HeightEstimate | None = None
 
 
 @dataclass(frozen=True)

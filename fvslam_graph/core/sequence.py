@@ -20,6 +20,7 @@ from fvslam_graph.core.trajectory import Trajectory
 
 FIRST_FIX = 1e-3  # seconds before the first frame at which a fix is still of it
 QUATERNION_ERROR = 0.01  # of the length of a quaternion as it is written
+MOUNTING_SIGMA = 0.02  # of the logarithm of a height that was measured once: by tape, with another load
 MAX_RECALIBRATION = 0.1  # of the width that pixels are moved; more is no rest that a calibration has left
 
 
@@ -76,7 +77,8 @@ class Ground:
         normal: (3,) unit vector in camera coordinates that points from the camera down to the ground plane.
         normal_sigma: Standard deviation of its direction, radians; how far the camera tilts against the ground.
         source: Where the heights come from, for the reader of a report.
-        height_sigma: Standard deviation of the heights, metres.
+        height_sigma: Standard deviation of the heights, metres, of an error that each has for itself,
+        common_sigma: and of their logarithms, of one that all have in common.
     """
 
     heights: NDArray[np.float64]
@@ -84,6 +86,7 @@ class Ground:
     normal_sigma: float
     source: str
     height_sigma: float = 0.0
+    common_sigma: float = 0.0
 
     @staticmethod
     def below(height: float = math.nan, pitch: float = 0.0, tilt: float = 0.05) -> Ground:
@@ -95,7 +98,8 @@ class Ground:
             tilt: Standard deviation of its attitude, radians.
         """
         normal = np.array([0.0, math.cos(pitch), math.sin(pitch)])
-        return Ground(np.array([height]), normal, tilt, "given")
+        common_sigma = 0.0 if math.isnan(height) else MOUNTING_SIGMA
+        return Ground(np.array([height]), normal, tilt, "given", common_sigma=common_sigma)
 
 
 @dataclass(frozen=True)

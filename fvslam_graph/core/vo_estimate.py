@@ -26,6 +26,7 @@ class ScaleStep:
         measured: What the scale source says, with the variance of what is new in it; None where it does not speak.
         bias_variance: Variance of what the source errs likewise in neighbouring steps,
         bias_decay: and the share of this error that lasts to the next step.
+        common_variance: Variance of what the source errs likewise in all steps.
         J_predicted: (2,) how what the map says changes with the logarithm of the focal length and with k1,
         J_measured: and how what the source says does.
         calibration: (2,) what was added to these two, of the images, in what the map says.
@@ -36,6 +37,7 @@ class ScaleStep:
     measured: LogScale | None = None
     bias_variance: float = 0.0
     bias_decay: float = 0.0
+    common_variance: float = 0.0
     J_predicted: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
     J_measured: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
     calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))

@@ -162,12 +162,12 @@ class GraphFusion(Fusion):
 
     def _placement(self) -> EarthPlacement | None:
         try:
-            enu_T_world, clock = self.graph.enu_T_world(), self.graph.clock
+            enu_T_world, clock, height = self.graph.enu_T_world(), self.graph.clock, self.graph.height
         except (EstimationError, RuntimeError):  # as which GTSAM's exceptions arrive
             return None
         if self._earth is None or enu_T_world is None or clock is None:
             return None
-        return EarthPlacement(self._earth.origin, enu_T_world, clock)
+        return EarthPlacement(self._earth.origin, enu_T_world, clock, height)
 
     def _calibration(self) -> CalibrationEstimate | None:
         try:

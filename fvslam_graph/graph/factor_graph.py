@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
-from fvslam_graph.core.frame_result import CalibrationEstimate, ClockEstimate
+from fvslam_graph.core.frame_result import CalibrationEstimate, ClockEstimate, HeightEstimate
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.sequence import Ground
 from fvslam_graph.core.slam_estimate import LandmarkObservations
@@ -27,6 +27,8 @@ from fvslam_graph.graph.export import write_graph
 from fvslam_graph.graph.factors import (
     CLOCK,
     ENU,
+    HEIGHT,
+    LASTING,
     SHORT,
     LandmarkFactors,
     calibrated_motion_factors,
@@ -200,6 +202,14 @@ class Graph:
         if not self.solver.has(CLOCK):
             return None
         return ClockEstimate(self.solver.number(CLOCK), math.sqrt(self.solver.covariance(CLOCK)[0, 0]))
+
+    @property
+    def height(self) -> HeightEstimate | None:
+        """How far the given height above the ground is off; None where it is exact, or each one is measured."""
+        if not self.solver.has(HEIGHT):
+            return None
+        factor = math.exp(self.solver.number(HEIGHT))
+        return HeightEstimate(factor, factor * math.sqrt(self.solver.covariance(HEIGHT)[0, 0]))
 
     @property
     def frames(self) -> int:
@@ -399,7 +409,7 @@ class Graph:
 
     def _solve(self) -> None:
         newest = pose_key(len(self._stamps) - 1)
-        for lasting in filter(self._update.has, (CALIBRATION, ENU, CLOCK, newest)):
+        for lasting in filter(self._update.has, (*LASTING, newest)):
             self._update.stamps[lasting] = self._stamps[-1]  # within any lag
         self._update.solve()
         if self.solver.has(CALIBRATION):

@@ -24,6 +24,8 @@ MIN_VARIANCE = 1e-10  # rad^2 and m^2: no factor is exact, and what is known of 
 LINEAR_SHARE = 0.5
 ENU = int(gtsam.symbol("e", 0))  # the key of world_T_enu, where east, north, up at a place on Earth is in the world
 CLOCK = int(gtsam.symbol("t", 0))  # the key of what is added to the stamps of fixes to have those of images, seconds
+HEIGHT = int(gtsam.symbol("h", 0))  # the key of the logarithm of true over given height above the ground
+LASTING = (CALIBRATION, ENU, CLOCK, HEIGHT)  # what is of the whole run
 SHORT = 1e-3  # metres; shorter motions have no direction that could be told, nor a length along it
 
 _KERNELS: dict[str, Callable[[float], gtsam.noiseModel.mEstimator.Base]] = {

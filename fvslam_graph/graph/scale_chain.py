@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.gaussian_pose import UNINFORMATIVE_VARIANCE, GaussianPose, LogScale
 from fvslam_graph.core.vo_estimate import OdometryStep, ScaleStep
 from fvslam_graph.graph.calibration import CALIBRATION, SelfCalibration
-from fvslam_graph.graph.factors import SHORT, pose_key
+from fvslam_graph.graph.factors import HEIGHT, SHORT, pose_key
 from fvslam_graph.graph.pending_update import PendingUpdate
 
 Array = NDArray[np.float64]
@@ -48,7 +48,8 @@ class ScaleChain:
 
     Lengths of consecutive motions are not independent: all have the scale that the map carries. What the map says of a
     step links the scales of two keyframes; what the scale source says holds one of them, up to an error that
-    neighbouring steps share (first-order Gauss-Markov, as in `vo.scale_filter`).
+    neighbouring steps share (first-order Gauss-Markov, as in `vo.scale_filter`), about one that all have: that of the
+    height. Positions from outside tell it.
 
     All factors are GTSAM's own; those that it has no class for are linear ones (LinearContainerFactor).
 
@@ -94,10 +95,10 @@ class ScaleChain:
             )
         if step.bias_variance > 0:
             self._update.insert(bias_key(index), 0.0)
-            if before is None or not self._update.has(bias_key(before)):
-                self._hold(bias_key(index), LogScale(0.0, step.bias_variance))
-            else:
-                self._decay(bias_key(before), bias_key(index), step)
+            if step.common_variance > 0 and not self._update.has(HEIGHT):
+                self._update.insert(HEIGHT, 0.0)
+                self._hold(HEIGHT, LogScale(0.0, step.common_variance))
+            self._bias(None if before is None else bias_key(before), bias_key(index), step)
         if step.measured is not None:
             measured = LogScale(step.measured.mean - step.length.mean, step.measured.variance)
             if step.bias_variance > 0:
@@ -210,13 +211,21 @@ class ScaleChain:
         linear = gtsam.JacobianFactor(*chain.from_iterable(jacobians), about_file, noise)
         self._update.add(gtsam.LinearContainerFactor(linear, values))
 
-    def _decay(self, first: int, second: int, step: ScaleStep) -> None:
-        noise = _sigma((1 - step.bias_decay**2) * step.bias_variance)
-        decay = gtsam.JacobianFactor(first, np.array([[-step.bias_decay]]), second, np.eye(1), np.zeros(1), noise)
+    def _bias(self, before: int | None, key: int, step: ScaleStep) -> None:
+        """A bias begins, or goes on from the one before: it decays to what all measurements err by."""
+        decay, terms = 0.0, {key: 1.0}
+        if before is not None and self._update.has(before):
+            decay = step.bias_decay
+            terms[before] = -decay
+        if self._update.has(HEIGHT):
+            terms[HEIGHT] = decay - 1
         values = gtsam.Values()
-        values.insert(first, 0.0)
-        values.insert(second, 0.0)
-        self._add(gtsam.LinearContainerFactor(decay, values))
+        for variable in terms:
+            values.insert(variable, 0.0)
+        jacobians = ((variable, np.array([[share]])) for variable, share in terms.items())
+        noise = _sigma((1 - decay**2) * step.bias_variance)
+        linear = gtsam.JacobianFactor(*chain.from_iterable(jacobians), np.zeros(1), noise)
+        self._add(gtsam.LinearContainerFactor(linear, values))
 
     def _add(self, factor: gtsam.NonlinearFactor) -> None:
         self._new.add(factor)

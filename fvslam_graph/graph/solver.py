@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.config import GraphSettings
 from fvslam_graph.core.errors import EstimationError
 from fvslam_graph.graph.calibration import CALIBRATION, is_camera
-from fvslam_graph.graph.factors import CLOCK, ENU, is_at_fix, is_filed, is_landmark, is_pose, is_scale
+from fvslam_graph.graph.factors import ENU, LASTING, is_at_fix, is_filed, is_landmark, is_pose, is_scale
 from fvslam_graph.graph.marginalization import Marginalization, astray
 
 _log = logging.getLogger(__name__)
@@ -193,7 +193,7 @@ class Solver:
         )
         thresholds.insert(("l", np.full(3, self._settings.relinearise)))
         thresholds.insert(("t", np.full(1, RELINEARIZE_CLOCK)))
-        for linear in ("s", "b"):  # what depends on scales is linear
+        for linear in ("s", "b", "h"):  # what depends on scales is linear
             thresholds.insert((linear, np.ones(1)))
         parameters.setRelinearizeThreshold(thresholds)
         parameters.relinearizeSkip = 1 if self._settings.lag is not None else RELINEARIZE_NEVER
@@ -338,11 +338,11 @@ class Solver:
     def _keep_within(self, values: gtsam.Values) -> None:
         """Keep the factors whose variables are all within the lag.
 
-        The oldest pose stays where it is, and the camera, the place on Earth and the clock of fixes as they are: what
-        held them is beyond the lag.
+        The oldest pose stays where it is, and the camera, its height, the place on Earth and the clock of fixes as they
+        are: what held them is beyond the lag.
         """
         self._remove(lambda key: not values.exists(key))
-        for lasting in filter(values.exists, (CALIBRATION, ENU, CLOCK)):
+        for lasting in filter(values.exists, LASTING):
             self._add(_prior(lasting, values, ANCHOR_SIGMA))
         oldest = min((key for key in values.keys() if is_pose(key)), key=lambda key: self._stamps[key])  # noqa: SIM118
         self._add(_prior(oldest, values, ANCHOR_SIGMA))

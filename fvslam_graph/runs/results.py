@@ -103,14 +103,19 @@ def ending_info(ending: Ending | None) -> dict[str, Any]:
 
 
 def _placement_info(placement: EarthPlacement) -> dict[str, Any]:
-    """Plain numbers: the origin, enu_T_world (4, 4), its covariance (6, 6), rotation first, and the clock's offset."""
+    """Plain numbers.
+
+    The origin, enu_T_world (4, 4), its covariance (6, 6), rotation first, the clock's offset, and what the given height
+    is to be multiplied by.
+    """
+    height = {} if placement.height is None else {"height": asdict(placement.height)}
     enu_T_world = placement.enu_T_world
     return {
         "origin": placement.origin.tolist(),
         "enu_T_world": enu_T_world.mean.matrix().tolist(),
         "covariance": enu_T_world.covariance.tolist(),
         "clock": asdict(placement.clock),
-    }
+    } | height
 
 
 def collect(

@@ -78,4 +78,5 @@ def with_altimeter(sequence: Sequence, readings: SensorSeries) -> Sequence:
         )
     known = sequence.ground or level_ground(heights, UAV_TILT, readings.source)
     sigma = float(np.sqrt((readings.sigmas**2).mean()))
-    return replace(sequence, ground=replace(known, heights=heights, height_sigma=sigma, source=readings.source))
+    ground = replace(known, heights=heights, height_sigma=sigma, common_sigma=0.0, source=readings.source)
+    return replace(sequence, ground=ground)

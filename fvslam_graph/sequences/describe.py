@@ -53,6 +53,8 @@ def _ground(ground: Ground | None) -> str:
     height = f"{low:.2f} m" if low == high else f"{low:.2f} to {high:.2f} m"
     if ground.height_sigma:
         height += f" +- {ground.height_sigma:.2f} m"
+    if ground.common_sigma:
+        height += f" +- {ground.common_sigma:.0%}"
     known = "" if len(heights) == len(ground.heights) else f", known for {len(heights)} frames"
     normal = ", ".join(f"{value:.3f}" for value in ground.normal)
     tilt = np.degrees(ground.normal_sigma)

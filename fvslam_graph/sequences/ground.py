@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fvslam_graph.core.errors import SequenceError
-from fvslam_graph.core.sequence import Ground, Sequence
+from fvslam_graph.core.sequence import MOUNTING_SIGMA, Ground, Sequence
 from fvslam_graph.sequences.files import count_of
 
 # How far a camera tilts against the ground, standard deviations in radians.
@@ -22,9 +22,9 @@ STRAIGHT_DOWN = 1.571  # rad, as pi/2 is written by hand
 KITTI_CAMERA_HEIGHT = 1.65  # metres above the road (Geiger et al. 2013, Fig. 3)
 
 
-def level_ground(heights: NDArray[np.float64], tilt: float, source: str) -> Ground:
+def level_ground(heights: NDArray[np.float64], tilt: float, source: str, common_sigma: float = 0.0) -> Ground:
     """The ground below a camera that looks to the horizon, heights (N,) in metres."""
-    return Ground(heights, np.array([0.0, 1.0, 0.0]), tilt, source)
+    return Ground(heights, np.array([0.0, 1.0, 0.0]), tilt, source, common_sigma=common_sigma)
 
 
 def altimeter_readings(
@@ -60,7 +60,8 @@ def altimeter_readings(
 
 def kitti_ground(frames: int) -> Ground:
     """The road below the cameras of KITTI's car."""
-    return level_ground(np.full(frames, KITTI_CAMERA_HEIGHT), CAR_TILT, "KITTI: camera 1.65 m above the road")
+    heights = np.full(frames, KITTI_CAMERA_HEIGHT)
+    return level_ground(heights, CAR_TILT, "KITTI: camera 1.65 m above the road", MOUNTING_SIGMA)
 
 
 def override_ground(sequence: Sequence, height: float | None, pitch: float | None) -> Sequence:
@@ -92,7 +93,7 @@ def given_ground(
     if height is not None:
         heights = np.full(frames, float(height))
         ground = replace(known or level_ground(heights, UAV_TILT, "given"), heights=heights)
-        ground = replace(ground, height_sigma=0.0, source="given")
+        ground = replace(ground, height_sigma=0.0, common_sigma=MOUNTING_SIGMA, source="given")
     if pitch is not None:
         if ground is None:
             raise SequenceError(f"{name} has no ground height: give the camera height along with its pitch")
@@ -118,4 +119,5 @@ def with_ground_plane(sequence: Sequence, plane: Iterable[float]) -> Sequence:
         )
     heights = np.full(len(sequence), numbers[3])
     normal = numbers[:3] / np.linalg.norm(numbers[:3])
-    return replace(sequence, ground=Ground(heights, normal, GIVEN_TILT, "given plane"))
+    ground = Ground(heights, normal, GIVEN_TILT, "given plane", common_sigma=MOUNTING_SIGMA)
+    return replace(sequence, ground=ground)

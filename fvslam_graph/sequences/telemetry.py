@@ -78,7 +78,7 @@ def add_telemetry_beside(sequence: Sequence, video: Path, offset: float | None =
         return replace(sequence, notes=(*sequence.notes, f"not used: {error}"))
     if (own := sequence.ground) is None or added.ground is None:
         return added
-    kept = replace(added.ground, heights=own.heights, height_sigma=own.height_sigma, source=own.source)
+    kept = replace(own, normal=added.ground.normal, normal_sigma=added.ground.normal_sigma)
     return replace(added, ground=kept)
 
 

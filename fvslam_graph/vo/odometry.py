@@ -79,11 +79,12 @@ class VisualOdometry:
         self._features = config.features
         self._tracker = tracker or _tracker(config.features)
         self._down = None if ground is None else ground.normal
-        aligner = None
+        aligner, common_sigma = None, 0.0
         if config.scale.source is ScaleSource.PLANE and ground is not None:
             aligner = GroundAligner(camera, ground.normal, ground.normal_sigma, config.scale.ground)
+            common_sigma = ground.common_sigma
         self._motion_model = ConstantVelocity(config.vo)
-        self._scale = MetricScale(config.scale, aligner, true_baseline)
+        self._scale = MetricScale(config.scale, aligner, true_baseline, common_sigma)
         rng = np.random.default_rng(config.seed)
         self._measurement = MotionMeasurement(camera, config.vo, self._scale, self._motion_model, rng)
         self._relative = config.scale.relative

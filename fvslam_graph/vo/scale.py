@@ -30,6 +30,7 @@ class MetricScale:
         settings: Which source, and its uncertainty.
         aligner: Measures the ground plane; needed by the source `plane`.
         true_baseline: Distance in metres between two frames by index; needed by the source `oracle`.
+        common_sigma: Of the logarithm of heights, of an error that all have in common.
 
     Raises:
         ConfigError: The source is `oracle` and there are no true baselines.
@@ -40,13 +41,14 @@ class MetricScale:
         settings: ScaleSettings,
         aligner: GroundAligner | None,
         true_baseline: Callable[[int, int], float] | None,
+        common_sigma: float = 0.0,
     ) -> None:
         if settings.source is ScaleSource.ORACLE and true_baseline is None:
             raise ConfigError("the scale source 'oracle' needs the true baselines")
         self.settings = settings
         self._aligner = aligner
         self._true_baseline = true_baseline
-        self._filter = ScaleFilter(settings)
+        self._filter = ScaleFilter(settings, common_sigma)
         self.calibration = np.zeros(2)  # what is to be added to the images', for the scale that the map carries
 
     def estimate(
@@ -108,6 +110,7 @@ class MetricScale:
         share = plane.roughness if plane is not None and height_sigma > 0 else 1.0
         measured = None if plane is None else replace(plane, roughness=share).measurement(plane_sigma)
         step = ScaleStep(scale, transition, measured, (share * bias_sigma) ** 2, self._filter.bias_decay)
+        step = replace(step, common_variance=self._filter.common_variance)
         return step if plane is None else replace(step, J_measured=plane.J_calibration)
 
     def _from_plane(self, views: TwoViews, predicted: LogScale, rng: np.random.Generator) -> GroundScale | None:

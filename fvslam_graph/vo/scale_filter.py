@@ -52,10 +52,11 @@ class ScaleFilter:
 
     Args:
         settings: Sizes of the bias and the drift, and over how many keyframes the bias lasts.
+        common_sigma: Of an error that all measurements have in common. Nothing here tells it.
     """
 
-    def __init__(self, settings: ScaleSettings) -> None:
-        self._settings = settings
+    def __init__(self, settings: ScaleSettings, common_sigma: float = 0.0) -> None:
+        self._settings, self.common_variance = settings, common_sigma**2
         self.bias_decay = math.exp(-1 / settings.bias_correlation_keyframes)  # from one keyframe to the next
         self._drift_variances = (settings.map_sigma * DRIFTS) ** 2
         self._log_weights = np.zeros(len(DRIFTS))
@@ -66,7 +67,7 @@ class ScaleFilter:
 
     def begin(self, variance: float) -> None:
         """The scale that comes next has nothing to do with the last one."""
-        self._scales[:], self._P_scale[:], self._P_both[:] = 0.0, variance, 0.0
+        self._scales[:], self._P_scale[:], self._P_both[:] = 0.0, max(variance - self.common_variance, 0.0), 0.0
 
     def carry(self, variance: float, added: float) -> None:
         """The scale that comes next is that of a map.
@@ -93,7 +94,7 @@ class ScaleFilter:
             self._measure(measured, predicted)
         weights = self._weights()
         mean = float(weights @ self._scales)
-        self._variance = float(weights @ (self._P_scale + (self._scales - mean) ** 2))
+        self._variance = float(weights @ (self._P_scale + (self._scales - mean) ** 2)) + self.common_variance
         self._scales -= mean
         return LogScale(predicted + mean, self._variance)
 

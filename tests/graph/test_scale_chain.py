@@ -36,15 +36,19 @@ DRIFT = 0.006  # of log scale per step
 NOTHING = LandmarkObservations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
 
 
-def steps(count: int, seed: int = 0) -> list[ScaleStep]:
-    """What odometry learns of motions that are all `METRES` long, on a ground that is not quite a plane."""
-    rng, scales = np.random.default_rng(seed), ScaleFilter(SETTINGS.model_copy(update={"map_sigma": 1e-9}))
+def steps(count: int, seed: int = 0, height: float = 1.0, height_sigma: float = 0.0) -> list[ScaleStep]:
+    """What odometry learns of motions that are all `METRES` long, on a ground that is not quite a plane.
+
+    Its height is in truth so many times that which is given.
+    """
+    rng = np.random.default_rng(seed)
+    scales = ScaleFilter(SETTINGS.model_copy(update={"map_sigma": 1e-9}), height_sigma)
     known, bias, made = LogScale(math.log(METRES), 1.0), 0.0, []
     for number in range(count):
         transition = LogScale(known.mean + DRIFT * rng.standard_normal() * (number > 0), DRIFT**2 if number else 1.0)
         new = SETTINGS.bias_sigma * rng.standard_normal()
         bias = scales.bias_decay * bias + math.sqrt(1 - scales.bias_decay**2) * new
-        said = math.log(METRES) + bias + SETTINGS.plane_sigma * rng.standard_normal()
+        said = math.log(METRES / height) + bias + SETTINGS.plane_sigma * rng.standard_normal()
         plane = None if number % 7 == 3 else GroundScale(said, 0.0, 1.0)
         if number:
             scales.carry(known.variance, DRIFT**2)
@@ -52,7 +56,8 @@ def steps(count: int, seed: int = 0) -> list[ScaleStep]:
             scales.begin(1.0)
         known = scales.update(transition.mean, plane)
         measured = plane and plane.measurement(SETTINGS.plane_sigma)
-        made.append(ScaleStep(known, transition, measured, SETTINGS.bias_sigma**2, scales.bias_decay))
+        bias_variance, common = SETTINGS.bias_sigma**2, height_sigma**2
+        made.append(ScaleStep(known, transition, measured, bias_variance, scales.bias_decay, common))
     return made
 
 
@@ -96,12 +101,30 @@ def lengths(graph: Graph) -> np.ndarray:
     return np.linalg.norm(np.diff(graph.smoothed().positions, axis=0), axis=1)
 
 
-def test_the_newest_scale_is_that_of_the_filter():
-    made = steps(30)
+@pytest.mark.parametrize("height_sigma", [0.0, 0.02])
+def test_the_newest_scale_is_that_of_the_filter(height_sigma):
+    made = steps(30, height_sigma=height_sigma)
     graph = fed(made)
     newest = scale_key(30)
     assert graph.solver.values().atDouble(newest) == pytest.approx(0, abs=1e-5)
-    assert graph.solver.covariance(newest)[0, 0] == pytest.approx(made[-1].length.variance, rel=1e-4)
+    assert graph.solver.covariance(newest)[0, 0] == pytest.approx(made[-1].length.variance, rel=1e-3)
+    assert made[-1].length.variance > height_sigma**2
+
+
+def test_positions_tell_that_the_given_height_is_wrong():
+    """And where there are no more, lengths stay right."""
+    graph, place = Graph(CAMERA, GraphSettings(landmarks="none")), gtsam.Pose3()
+    graph.add_odometry(0.0, OdometryStep(0, GaussianPose.identity()))
+    for index, step in enumerate(steps(150, height=1.04, height_sigma=0.02), 1):
+        place = place.compose(STEP)
+        graph.add_odometry(0.1 * index, OdometryStep(index - 1, motion(step), step, step.length.variance))
+        if index <= 75:
+            graph.add_position(0.1 * index, place.translation(), np.full(3, 0.05))
+        if index % 5 == 0:
+            graph.fuse(None)
+    found = graph.height
+    assert found.factor == pytest.approx(1.04, abs=3 * found.sigma) and 0.003 < found.sigma < 0.015
+    assert np.mean(lengths(graph)[-20:]) == pytest.approx(METRES, rel=0.02)  # 4 % are wrong
 
 
 def test_earlier_lengths_are_smoothed():
@@ -320,7 +343,7 @@ def test_the_drift_of_a_carried_scale_tells_the_calibration():
         J = J_predicted if turns else np.zeros(2)
         carried = LogScale(true.mean - k1 * J[1], 1e-4**2 if number else 1.0)
         ground = LogScale(true.mean - k1 * J_measured[1], SETTINGS.plane_sigma**2)
-        made.append(ScaleStep(true, carried, ground, 0.001**2, 0.5, J, J_measured))
+        made.append(ScaleStep(true, carried, ground, 0.001**2, 0.5, J_predicted=J, J_measured=J_measured))
     graph = Graph(CAMERA, GraphSettings(distortion_sigma=0.05))
     graph.add_odometry(0.0, OdometryStep(0, GaussianPose.identity()))
     for number, step in enumerate(made):

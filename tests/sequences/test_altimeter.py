@@ -7,7 +7,7 @@ import pytest
 
 from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.sequences.altimeter import read_altimeter, with_altimeter
-from fvslam_graph.sequences.ground import with_ground_plane
+from fvslam_graph.sequences.ground import override_ground, with_ground_plane
 from fvslam_graph.simulation.synthetic import synthetic_sequence
 
 
@@ -44,6 +44,13 @@ def test_the_deviation_is_that_of_the_file_or_that_of_the_readings(tmp_path, seq
         sequence, read_altimeter(written(tmp_path, stamps, heights, 0.5))
     ).ground.height_sigma == pytest.approx(0.5)
     assert with_altimeter(sequence, read_altimeter(written(tmp_path, stamps, heights, 0.0))).ground.height_sigma > 0
+
+
+def test_only_a_height_that_was_measured_once_is_wrong_in_all_frames(tmp_path, sequence):
+    mounted = override_ground(sequence, 1.5, None)
+    flown = with_altimeter(mounted, read_altimeter(written(tmp_path, np.arange(-1.0, 4.0, 0.1), np.full(50, 1.5))))
+    planes = mounted, with_ground_plane(sequence, (0, 1, 0, 1.5)), flown, sequence
+    assert [known.ground.common_sigma > 0 for known in planes] == [True, True, False, False]
 
 
 def test_heights_in_gaps_are_unknown(tmp_path, sequence):

@@ -42,7 +42,7 @@ def test_many_gaps_are_counted(plain_folder):
 
 def test_a_steady_height_and_heights_out_of_the_slice(plain_folder):
     facts = dict(describe(open_sequence(plain_folder, camera_height=1.5)))
-    assert facts["scale"].startswith("camera 1.50 m above ground (given)")
+    assert facts["scale"].startswith("camera 1.50 m +- 2% above ground (given)")
     (plain_folder / "times.csv").write_text("filename,timestamp_s,height_m\n0.png,0,\n1.png,1,1.5\n")
     facts = dict(describe(open_sequence(plain_folder, frames=":1")))
     assert facts["scale"] == "no height above ground in these frames (times.csv height_m)"

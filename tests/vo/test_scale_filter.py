@@ -109,6 +109,16 @@ def test_nothing_measured_changes_nothing_but_by_the_drift():
     assert scale.variance == pytest.approx(0.01 + SETTINGS.map_sigma**2, rel=1e-4)
 
 
+def test_what_all_measurements_err_by_is_not_averaged_out():
+    """It changes nothing of how they are weighed, however long."""
+    alone, common = ScaleFilter(SETTINGS), ScaleFilter(SETTINGS, 0.02)
+    one = other = LogScale(0.0, 1.0)
+    for measured in np.random.default_rng(0).normal(0.0, 0.05, 50):
+        one, other = following(alone, one, ground(measured)), following(common, other, ground(measured))
+    assert other.mean == pytest.approx(one.mean, rel=1e-2)
+    assert other.variance == pytest.approx(one.variance + 0.02**2, rel=1e-2)
+
+
 def test_a_map_that_has_become_doubtful_is_believed_less():
     scales = ScaleFilter(SETTINGS)
     for _ in range(20):
