@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
@@ -12,6 +13,7 @@ from fvslam_graph.core.camera import by_calibration
 from fvslam_graph.core.quick import median
 
 UNKNOWN = 10.0  # times the usual inverse depth: the deviation of one that is not known
+TELLING = 2.0  # standard deviations of an inverse depth from zero
 COMMON_ERRORS = 5  # that depths share, by what earlier motions erred: the most important ones
 
 
@@ -43,6 +45,21 @@ class InverseDepths:
         total: NDArray[np.float64] = np.hypot(self.sigmas, np.linalg.norm(self.common, axis=1))
         return total
 
+    @property
+    def telling(self) -> NDArray[np.bool_]:
+        """(N,) which points are certainly not on the horizon, so that they tell how far the camera goes."""
+        telling: NDArray[np.bool_] = self.values > TELLING * self.sigmas
+        return telling
+
+    @property
+    def usual(self) -> float:
+        """Root mean square without what noise adds, so that a horizon hardly counts; zero where there are none."""
+        if not len(self):
+            return 0.0
+        weight = 1 / np.maximum(self.sigmas**2, 1e-18)
+        square = float(weight @ self.values**2 - len(self)) / float(weight.sum())
+        return math.sqrt(square) if square > 0 else median(self.values)
+
     @classmethod
     def none(cls) -> InverseDepths:
         """The depths of no points."""
@@ -68,7 +85,7 @@ class InverseDepths:
     def of(self, ids: NDArray[np.int64]) -> InverseDepths:
         """The depths of tracks `ids`; those that are not known are as usual, within a large factor."""
         mine, theirs = self.match(ids)
-        usual = median(self.values) if len(self) else 0.0
+        usual = self.usual
         values, sigmas = np.full(len(ids), usual), np.full(len(ids), UNKNOWN * usual)
         common, J_calibration = np.zeros((len(ids), self.common.shape[1])), np.zeros((len(ids), 2))
         values[theirs], sigmas[theirs], common[theirs] = self.values[mine], self.sigmas[mine], self.common[mine]

@@ -150,8 +150,8 @@ def typical_depth(
         down: (3,) unit vector to the ground; None where there is none.
         height: Of the camera above the ground, metres; NaN where unknown.
     """
-    if len(known):
-        return float(1 / median(known.values))
+    if usual := known.usual:
+        return 1 / usual
     if down is None or not height > 0 or not len(rays):
         return UNKNOWN_DEPTH
     return height * median(1 / np.maximum(rays @ down, 1 / GROUND_REACH))

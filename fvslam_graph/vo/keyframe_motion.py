@@ -28,6 +28,7 @@ class KeyframeMotion:
         map: Of the keyframe, with what was learnt.
         scale: Of the baseline, where it was estimated.
         parallax: Median image motion that no rotation explains, pixels; NaN where not measured.
+        near_parallax: That of what is near enough to show a translation; likewise.
         J_calibration: (6, 2) how the pose changes with the logarithm of the focal length and with k1.
         evidence: What two views say of these.
         errors: (5, 5) what the last five of the errors that the map's depths share add to rotation and direction; None
@@ -40,6 +41,7 @@ class KeyframeMotion:
     map: MetricMap
     scale: ScaleStep | None = None
     parallax: float = math.nan
+    near_parallax: float = math.nan
     J_calibration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 2)))
     evidence: CalibrationEvidence | None = None
     errors: NDArray[np.float64] | None = None

@@ -18,7 +18,12 @@ from fvslam_graph.core.quick import median
 from fvslam_graph.core.sequence import Frame
 from fvslam_graph.core.stopwatch import Stopwatch
 from fvslam_graph.core.tracks import Tracks
-from fvslam_graph.vo.absolute_pose import estimate_absolute_pose, refine_absolute_pose, with_known_depths
+from fvslam_graph.vo.absolute_pose import (
+    AbsolutePose,
+    estimate_absolute_pose,
+    refine_absolute_pose,
+    with_known_depths,
+)
 from fvslam_graph.vo.deformation import undeformed
 from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import MatchedRays
@@ -26,9 +31,10 @@ from fvslam_graph.vo.keyframe_motion import KeyframeMotion, relative_variance, t
 from fvslam_graph.vo.metric_pose import metric_jacobian, metric_pose
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.relative_pose import RelativePose, TwoViews, estimate_relative_pose
-from fvslam_graph.vo.rotation import fit_rotation, hidden_parallax
+from fvslam_graph.vo.rotation import fit_rotation, near_parallax
 from fvslam_graph.vo.scale import MetricScale
 
+MOST = 0.9  # of the tracks; where fewer agree with a pose, another may be right
 GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
 
 
@@ -104,23 +110,24 @@ class MotionMeasurement:
                 self._camera.rays(tracks.keyframe), self._camera.rays(tracks.current), self._camera.fx
             )
         motion = self._by_parallax(view, rotation, unexplained)
-        return motion and replace(motion, parallax=median(unexplained))
+        return motion and replace(motion, parallax=median(unexplained), near_parallax=near_parallax(unexplained))
 
     def from_map(self, view: View) -> KeyframeMotion | None:
         """Pose among the points of known depth: a motion too short to triangulate still moves near points."""
-        tracks, used, known = view.tracks, view.used, view.keyframe.map
+        known = view.keyframe.map
         if (located := self._locate(view)) is None:
             return None
         with view.stopwatch.stage("pose"):
-            seen = self._camera.rays(tracks.keyframe)
-            depths = known.depths.of(tracks.ids)
-            matched = MatchedRays.of(self._camera, tracks)
-            tracks = undeformed(tracks, matched, located.rotation(), located.translation(), depths)
-            refined = refine_absolute_pose(located, seen[used], tracks[used], depths[used], self._camera)
+            refined, tracks = self._refined(located, view)
+            # Where most points are on the horizon, samples of three may tell no translation.
+            if refined is not None and refined.agree.mean() < MOST:
+                other, others = self._refined(view.expected.mean, view)
+                if other is not None and other.agree.sum() > refined.agree.sum():
+                    refined, tracks = other, others
         if refined is None or refined.agree.sum() < self._settings.min_inliers:
             return None
-        kept = ~used
-        kept[used] = refined.agree
+        kept = ~view.used
+        kept[view.used] = refined.agree
         tracks = tracks[kept]
         errors = None
         if self.is_worn_out(view.keyframe, tracks):  # what is left of the keyframe is triangulated while it can be
@@ -138,13 +145,24 @@ class MotionMeasurement:
         pose = refined.pose.with_scale_variance(known.variance)
         return KeyframeMotion(pose, tracks, known, J_calibration=refined.J_calibration, errors=errors)
 
+    def _refined(self, start: gtsam.Pose3, view: View) -> tuple[AbsolutePose | None, Tracks]:
+        """The pose near another by all tracks, and these without what the change of view makes them err."""
+        tracks, used, depths = view.tracks, view.used, view.keyframe.map.depths.of(view.tracks.ids)
+        matched = MatchedRays.of(self._camera, tracks)
+        tracks = undeformed(tracks, matched, start.rotation(), start.translation(), depths)
+        seen = self._camera.rays(tracks.keyframe[used])
+        return refine_absolute_pose(start, seen, tracks[used], depths[used], self._camera), tracks
+
     def is_worn_out(self, keyframe: Keyframe, tracks: Tracks) -> bool:
-        """Whether so few of the keyframe's points are left that another one is needed."""
-        return len(tracks) < self._settings.keyframe_tracks * keyframe.points
+        """Whether so few of the keyframe's points are left, or of those that tell how far, that another is needed."""
+        telling = keyframe.map.depths.ids[keyframe.map.depths.telling]
+        left = np.isin(tracks.ids, telling, assume_unique=True)
+        share = self._settings.keyframe_tracks
+        return len(tracks) < share * keyframe.points or bool(left.sum() < share * len(telling))
 
     def _by_parallax(self, view: View, rotation: gtsam.Rot3, unexplained: NDArray[np.float64]) -> KeyframeMotion | None:
-        parallax = median(unexplained)
-        far, some = parallax > self._settings.keyframe_parallax, parallax > self._settings.min_parallax
+        parallax = near_parallax(unexplained)
+        far, some = median(unexplained) > self._settings.keyframe_parallax, parallax > self._settings.min_parallax
         located = None if far else self.from_map(view)
         if located is not None and not (some and view.keyframe.map_is_weak):
             return located
@@ -152,7 +170,7 @@ class MotionMeasurement:
             return motion if located is None else min(located, motion, key=relative_variance)
         if far:
             return self.from_map(view)
-        return located or self._rotation_only(view, rotation, hidden_parallax(unexplained))
+        return located or self._rotation_only(view, rotation, parallax)
 
     def _from_two_views(self, view: View) -> KeyframeMotion | None:
         """Rotation and direction from the essential matrix, the baseline's length from the scale source."""
@@ -234,5 +252,6 @@ class MotionMeasurement:
 
 def _guess(unit: InverseDepths, distance: float) -> LogScale:
     """The scale at which triangulated points are as far away as things usually are."""
-    seen = unit.values[unit.values > 0]
+    telling = unit.telling
+    seen = unit.values[telling] if 2 * telling.sum() < len(unit) else unit.values[unit.values > 0]  # not on a horizon
     return LogScale(math.log(distance * median(seen)) if len(seen) else 0.0, GUESS)

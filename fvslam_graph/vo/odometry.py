@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.choices import ScaleSource
 from fvslam_graph.core.config import Config, FeatureSettings
+from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.inverse_depths import MetricMap
 from fvslam_graph.core.modes import outside_tracker
@@ -34,13 +35,14 @@ from fvslam_graph.vo.lost_keyframes import LostKeyframe, LostKeyframes
 from fvslam_graph.vo.motion_measurement import GUESS, Keyframe, MotionMeasurement, View
 from fvslam_graph.vo.motion_model import ConstantVelocity
 from fvslam_graph.vo.plausibility import MotionGate
-from fvslam_graph.vo.rotation import fit_rotation, hidden_parallax
+from fvslam_graph.vo.rotation import fit_rotation, near_parallax
 from fvslam_graph.vo.scale import MetricScale
 
 MIN_TRACK_RATIO = 2  # times the inliers needed: fewer tracks, and none is left apart
 SHARE_AFTER_A_GAP = 0.7  # of the tracks that a motion explains at least: over a gap, half agree by chance now and then
 CLEAR_PARALLAX = 20.0  # deviations of a track's noise; with more, the first map is right
 MAX_FAILURES = 3  # textured images in a row that do not fit the keyframe before it is given up
+MOVED = chi2_gate(0.9999, 3)  # of a step: beyond, a camera does not stand
 CARRIED = 0.25  # variance of a logarithm, up to which the speed carries a scale without a map: within a factor of 1.6
 
 
@@ -124,10 +126,9 @@ class VisualOdometry:
             tracks = self._tracker.track(frame.image)
         if len(tracks) < self.settings.min_inliers:
             return self._handle_lost(frame)
-        with self._stopwatch.stage("pose"):
-            shaken = self._static_rotation(tracks)
-        standing = None if shaken is None else self._static(tracks, shaken)
-        measured = standing or self._measure(self._view(self._keyframe, frame, tracks))
+        view = self._view(self._keyframe, frame, tracks)
+        standing = self._static(view)
+        measured = standing or self._measure(view)
         if measured is None:
             return self._handle_lost(frame)
         motion = self._gated(frame, measured)
@@ -142,8 +143,9 @@ class VisualOdometry:
         assert self._keyframe is not None
         two_views = motion.scale is not None
         far = two_views and motion.parallax > self.settings.keyframe_parallax
-        clear = two_views and motion.parallax > CLEAR_PARALLAX * motion.noise
-        weak = self._keyframe.map_is_weak and not far
+        clear = two_views and motion.near_parallax > CLEAR_PARALLAX * motion.noise
+        strong = two_views and motion.near_parallax > self.settings.keyframe_parallax
+        weak = self._keyframe.map_is_weak and not strong
         worn_out = self._measurement.is_worn_out(self._keyframe, motion.tracks)
         if estimate.status is not Status.STATIC and (far or worn_out):
             self._set_keyframe(frame, motion.tracks, estimate.map, weak)
@@ -220,14 +222,28 @@ class VisualOdometry:
         if median(np.hypot(*(current - last).T)) > limit:
             return None
         rotation, unexplained = fit_rotation(self.camera.rays(last), self.camera.rays(current), self.camera.fx)
-        return rotation if hidden_parallax(unexplained) < self.settings.static_parallax else None
+        return rotation if near_parallax(unexplained) < self.settings.static_parallax else None
 
-    def _static(self, tracks: Tracks, shaken: gtsam.Rot3) -> KeyframeMotion:
-        """No translation, since where the camera last moved."""
-        assert self._keyframe is not None
-        distance = self._typical_depth(self._keyframe)
-        step = standing(shaken, self.settings.static_parallax / self.camera.fx, distance)
-        return KeyframeMotion(self._keyframe_T_last.compose(step), tracks, self._keyframe.map)
+    def _static(self, view: View) -> KeyframeMotion | None:
+        """No translation, since where the camera last moved; None where it has moved."""
+        with self._stopwatch.stage("pose"):
+            shaken = self._static_rotation(view.tracks)
+        if shaken is None:
+            return None
+        step = standing(shaken, self.settings.static_parallax / self.camera.fx, view.distance)
+        here = KeyframeMotion(self._keyframe_T_last.compose(step), view.tracks, view.keyframe.map)
+        # Few points may be near enough to tell that it moves, and if their depths are known, they do.
+        located = None if view.keyframe.map_is_weak else self._measurement.from_map(view)
+        return here if located is None or not self._has_moved(here, located) else None
+
+    def _has_moved(self, here: KeyframeMotion, located: KeyframeMotion) -> bool:
+        """Whether the camera is among known points where it cannot be if it stands."""
+        step = here.keyframe_T_cur.mean.transformTo(located.keyframe_T_cur.mean.translation())
+        noise = np.zeros((3, 3))
+        for pose in (here.keyframe_T_cur, located.keyframe_T_cur):  # both err by the scale of the map
+            own = pose.with_scale_variance(-pose.room_for_scale(here.map.variance))
+            noise += own.covariance[3:, 3:]
+        return bool(step @ np.linalg.solve(noise, step) > MOVED)
 
     def _accept_static(self, frame: Frame, motion: KeyframeMotion) -> VoEstimate:
         """Take over that the camera stands; where it came to stand is kept, so that it does not drift."""

@@ -329,3 +329,16 @@ def test_scale_ratio_of_uncertain_depths_hardly_grows():
         assert ratio is not None
         errors.append(ratio.scale.mean)
     assert abs(np.mean(errors)) < 0.07  # measured -0.03, and 0.13 by a share of the depths as they are
+
+
+@pytest.mark.parametrize("horizon", [0.0, 0.5, 0.9])
+def test_a_horizon_does_not_make_unknown_points_far(horizon):
+    rng = np.random.default_rng(0)
+    near = rng.random(1000) >= horizon
+    sigmas = rng.uniform(0.01, 0.03, 1000)
+    values = np.where(near, 0.1, 0.0) + sigmas * rng.standard_normal(1000)
+    depths = InverseDepths.independent(np.arange(1000), values, sigmas)
+    assert 0.02 < depths.usual < 0.11  # root mean square: 0.1, 0.07 and 0.03
+    assert 0.8 * near.sum() < depths.telling.sum() < near.sum() + 40
+    unknown = depths.of(np.array([2000]))
+    assert abs(0.1 - unknown.values[0]) < unknown.sigmas[0]

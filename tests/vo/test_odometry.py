@@ -200,6 +200,40 @@ def test_a_camera_does_not_stand_because_most_points_are_on_the_horizon(camera):
         assert abs(error) < 4 * math.sqrt(estimate.prev_T_cur.covariance[5, 5])  # measured 1.2 to 2.7
 
 
+@pytest.mark.parametrize("horizon", [0.4, 0.7])
+def test_odometry_where_most_points_are_on_the_horizon(camera, horizon):
+    """Few points come and go near the camera, along a curve there and back."""
+    rng = np.random.default_rng(0)
+    frames, count = 40, 2000
+    path = [gtsam.Pose3(gtsam.Rot3.Ry(0.01 * min(k, 40 - k)), np.array([0.0, 0.0, 0.8 * k])) for k in range(frames)]
+    start = rng.integers(-8, frames, count)
+    lives = np.column_stack([start, start + rng.integers(6, 14, count)]).clip(0, frames)
+    depths = np.where(rng.random(count) < horizon, 3000.0, rng.uniform(8, 25, count))
+    seen = depths[:, None] * camera.rays(rng.uniform((60, 60), (580, 420), (count, 2)))
+    landmarks = np.array([path[first].transformFrom(ray) for first, ray in zip(lives[:, 0], seen, strict=True)])
+    scene = PointScene(camera, Trajectory(0.1 * np.arange(frames), tuple(path)), landmarks, lives, noise=0.2)
+    odometry = VisualOdometry(camera, load_config(settings=["scale.source=map"]), tracker=SceneTracker(scene, 300))
+    estimates = [odometry.step(frame) for frame in scene.sequence("points")]
+    assert statuses(estimates[1:]) == [Status.TRACKED] * (frames - 1)
+    assert not any(estimate.map_is_doubtful for estimate in estimates[10:])
+    true = [length(path[estimate.previous].between(path[estimate.index])) for estimate in estimates[1:]]
+    ratios = np.array([length(estimate.prev_T_cur.mean) for estimate in estimates[1:]]) / true
+    assert ratios == pytest.approx(np.median(ratios), rel=0.1)
+
+
+def test_a_few_points_at_known_depths_tell_that_it_moves(camera):
+    """Of those that are near, only one in ten is left."""
+    rng = np.random.default_rng(0)
+    depths = np.where(rng.random(300) < 0.6, 3000.0, rng.uniform(8, 20, 300))
+    landmarks = depths[:, None] * camera.rays(rng.uniform((100, 80), (540, 400), (300, 2)))
+    path = tuple(gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 0.3 * k])) for k in range(8))
+    lives = np.column_stack([np.zeros(300, int), np.where((depths < 100) & (rng.random(300) < 0.9), 4, 8)])
+    scene = PointScene(camera, Trajectory(0.1 * np.arange(8), path), landmarks, lives, noise=0.1)
+    odometry = VisualOdometry(camera, load_config(settings=["scale.source=map"]), tracker=SceneTracker(scene, 300))
+    estimates = [odometry.step(frame) for frame in scene.sequence("points")]
+    assert statuses(estimates[1:]) == [Status.TRACKED] * 7
+
+
 @pytest.mark.parametrize(("focal", "k1"), [(0.0, 0.02), (0.0, -0.02), (0.02, 0.0)])
 def test_a_wrong_calibration_makes_the_scale_drift_as_odometry_says(camera, focal, k1):
     """In a turn: new depths are wrong otherwise than old ones of the same points. Where it is known, nothing drifts."""

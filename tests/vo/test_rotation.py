@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.vo.rotation import fit_rotation, hidden_parallax
+from fvslam_graph.vo.rotation import fit_rotation, motion_beside, near_parallax
 
 TURN = gtsam.Rot3.Expmap(np.array([0.02, -0.05, 0.1]))
 
@@ -67,6 +67,22 @@ def test_the_result_is_a_rotation_even_for_nonsense():
 
 def test_near_points_tell_a_parallax_that_the_horizon_hides():
     noise = np.abs(np.random.default_rng(0).standard_normal(200))
-    assert hidden_parallax(noise) == pytest.approx(np.median(noise))
+    assert near_parallax(noise) == pytest.approx(np.median(noise))
     near = np.where(np.arange(200) % 4 == 0, 30.0, noise)
-    assert hidden_parallax(near) == pytest.approx(15.0)
+    assert near_parallax(near) == pytest.approx(15.0)
+
+
+@pytest.mark.parametrize("step", [(0.0, 0.0, 0.8), (0.3, -0.1, -0.5), (0.5, 0.0, 0.0)])
+def test_a_direction_beside_the_rotation_of_the_horizon(step):
+    """One point in five is near, and one in a hundred is a wrong match."""
+    rng = np.random.default_rng(0)
+    true = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.01, -0.02, 0.005), np.array(step))
+    depths = np.where(np.arange(400) % 5 == 0, rng.uniform(8, 20, 400), 3000.0)
+    previous = np.column_stack([rng.uniform(-0.6, 0.6, (400, 2)), np.ones(400)])
+    current = true.transformTo((depths[:, None] * previous).T).T
+    current /= current[:, 2:]
+    current[:, :2] += rng.normal(0, 0.2 / 450, (400, 2))
+    current[3::100, :2] += rng.normal(0, 0.1, (4, 2))
+    found = motion_beside(fit_rotation(previous, current, 450.0)[0], previous, current)
+    assert np.linalg.norm(gtsam.Rot3.Logmap(true.rotation().between(found.rotation()))) < 2e-3
+    assert found.translation() @ step > 0.95 * np.linalg.norm(step)
