@@ -108,10 +108,10 @@ class InverseDepths:
         mine, theirs = ours.match(other.ids)
         information = ours.sigmas[mine] ** -2 + other.sigmas[theirs] ** -2
         weight = ours.sigmas[mine] ** -2 / information
-        only_mine = np.setdiff1d(np.arange(len(ours)), mine)
-        only_theirs = np.setdiff1d(np.arange(len(other)), theirs)
+        only_mine, only_theirs = np.ones(len(ours), bool), np.ones(len(other), bool)
+        only_mine[mine], only_theirs[theirs] = False, False
         size = ours.common.shape[1]
-        common = np.zeros((len(ours) + len(only_theirs), size + other.common.shape[1]))
+        common = np.zeros((len(ours) + only_theirs.sum(), size + other.common.shape[1]))
         both, first = slice(0, len(mine)), slice(len(mine), len(ours))
         common[both, :size] = weight[:, None] * ours.common[mine]
         common[both, size:] = (1 - weight)[:, None] * other.common[theirs]

@@ -155,10 +155,12 @@ class MotionMeasurement:
 
     def is_worn_out(self, keyframe: Keyframe, tracks: Tracks) -> bool:
         """Whether so few of the keyframe's points are left, or of those that tell how far, that another is needed."""
-        telling = keyframe.map.depths.ids[keyframe.map.depths.telling]
-        left = np.isin(tracks.ids, telling, assume_unique=True)
-        share = self._settings.keyframe_tracks
-        return len(tracks) < share * keyframe.points or bool(left.sum() < share * len(telling))
+        share, depths = self._settings.keyframe_tracks, keyframe.map.depths
+        if len(tracks) < share * keyframe.points:
+            return True
+        mine, _ = depths.match(tracks.ids)
+        telling = depths.telling
+        return bool(telling[mine].sum() < share * telling.sum())
 
     def _by_parallax(self, view: View, rotation: gtsam.Rot3, unexplained: NDArray[np.float64]) -> KeyframeMotion | None:
         parallax = near_parallax(unexplained)

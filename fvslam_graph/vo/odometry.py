@@ -186,7 +186,9 @@ class VisualOdometry:
 
     def _view(self, keyframe: Keyframe, frame: Frame, tracks: Tracks) -> View:
         """An image that shows these points of the keyframe."""
-        used = ~np.isin(tracks.ids, self._excluded)
+        used = np.ones(len(tracks), bool)
+        if len(self._excluded):
+            used = ~np.isin(tracks.ids, self._excluded)
         if used.sum() < MIN_TRACK_RATIO * self.settings.min_inliers:
             used[:] = True
         first = self._last_stamp <= keyframe.frame.stamp

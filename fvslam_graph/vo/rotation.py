@@ -73,4 +73,5 @@ def near_parallax(unexplained: NDArray[np.float64]) -> float:
     Args:
         unexplained: (N,) image motion that no rotation explains, pixels.
     """
-    return max(median(unexplained), float(np.quantile(unexplained, _MOST)) / _NOISE)
+    nearest = int(_MOST * (len(unexplained) - 1))
+    return max(median(unexplained), float(np.partition(unexplained, nearest)[nearest]) / _NOISE)
