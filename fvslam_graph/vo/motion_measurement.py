@@ -34,7 +34,6 @@ from fvslam_graph.vo.relative_pose import RelativePose, TwoViews, estimate_relat
 from fvslam_graph.vo.rotation import fit_rotation, near_parallax
 from fvslam_graph.vo.scale import MetricScale
 
-MOST = 0.9  # of the tracks; where fewer agree with a pose, another may be right
 GUESS = 1.0  # variance of the logarithm of a distance that is only guessed
 
 
@@ -119,10 +118,12 @@ class MotionMeasurement:
             return None
         with view.stopwatch.stage("pose"):
             refined, tracks = self._refined(located, view)
-            # Where most points are on the horizon, samples of three may tell no translation.
-            if refined is not None and refined.agree.mean() < MOST:
+            # Where most points are on the horizon, they agree whatever the translation is: few samples tell it.
+            mine, theirs = known.depths.match(view.tracks.ids[view.used])
+            telling = theirs[known.depths.telling[mine]]
+            if refined is not None and refined.agree[telling].sum() < len(telling) / 2:
                 other, others = self._refined(view.expected.mean, view)
-                if other is not None and other.agree.sum() > refined.agree.sum():
+                if other is not None and other.agree[telling].sum() > len(telling) / 2:
                     refined, tracks = other, others
         if refined is None or refined.agree.sum() < self._settings.min_inliers:
             return None
