@@ -220,7 +220,8 @@ def test_nothing_to_go_by(camera, two_views):
     tracks = two_views(FORWARD).tracks
     assert estimate_relative_pose(Tracks.none(), camera, SETTINGS, 0) is None
     assert estimate_relative_pose(tracks[np.arange(SETTINGS.min_inliers - 1)], camera, SETTINGS, 0) is None
-    assert estimate_relative_pose(tracks[np.zeros(50, int)], camera, SETTINGS, 0) is None
+    one_place = replace(tracks[np.zeros(50, int)], ids=np.arange(50))
+    assert estimate_relative_pose(one_place, camera, SETTINGS, 0) is None
     rng = np.random.default_rng(0)
     anywhere = Tracks.alike(np.arange(40), rng.uniform(0, 480, (40, 2)), rng.uniform(0, 480, (40, 2)))
     assert estimate_relative_pose(anywhere, camera, SETTINGS, 0) is None
