@@ -13,7 +13,7 @@ from fvslam_graph.core.camera import by_calibration
 from fvslam_graph.core.quick import median
 
 UNKNOWN = 10.0  # times the usual inverse depth: the deviation of one that is not known
-TELLING = 2.0  # standard deviations of an inverse depth from zero
+TELLING = 2.0  # standard deviations of an inverse depth from zero, beyond which a point is not on the horizon
 COMMON_ERRORS = 5  # that depths share, by what earlier motions erred: the most important ones
 
 
@@ -47,7 +47,7 @@ class InverseDepths:
 
     @property
     def telling(self) -> NDArray[np.bool_]:
-        """(N,) which points are certainly not on the horizon, so that they tell how far the camera goes."""
+        """(N,) which points are not on the horizon, so that they tell how far the camera goes."""
         telling: NDArray[np.bool_] = self.values > TELLING * self.sigmas
         return telling
 

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.core.gaussian_pose import GaussianPose
 from fvslam_graph.core.inverse_depths import MetricMap
 from fvslam_graph.core.tracks import Tracks
@@ -16,6 +17,7 @@ from fvslam_graph.core.vo_estimate import CalibrationEvidence, ScaleStep
 
 # Above a plane, a rotation looks like a translation: it leaves about this fraction of its image motion unexplained.
 ROTATION_AMBIGUITY = 0.1
+APART = chi2_gate(0.9999, 3)  # of the step between two places
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,19 @@ def relative_variance(motion: KeyframeMotion) -> float:
     """The variance of the translation, apart from its scale, as a share of its squared length."""
     pose = motion.keyframe_T_cur.with_scale_variance(-motion.map.variance)
     return float(np.trace(pose.covariance[3:, 3:]) / max(np.sum(pose.mean.translation() ** 2), 1e-12))
+
+
+def are_apart(first: KeyframeMotion, second: KeyframeMotion) -> bool:
+    """Whether two motions against the same keyframe lead to places that cannot be one.
+
+    The scale of the map is not in question: both err by the same.
+    """
+    step = first.keyframe_T_cur.mean.transformTo(second.keyframe_T_cur.mean.translation())
+    noise = np.zeros((3, 3))
+    for motion in (first, second):
+        pose = motion.keyframe_T_cur
+        noise += pose.with_scale_variance(-pose.room_for_scale(first.map.variance)).covariance[3:, 3:]
+    return bool(step @ np.linalg.solve(noise, step) > APART)
 
 
 def with_planar_ambiguity(motion: GaussianPose, depth: float) -> GaussianPose:

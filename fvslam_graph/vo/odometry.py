@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.choices import ScaleSource
 from fvslam_graph.core.config import Config, FeatureSettings
-from fvslam_graph.core.gates import chi2_gate
 from fvslam_graph.core.gaussian_pose import GaussianPose, ScaledPose
 from fvslam_graph.core.inverse_depths import MetricMap
 from fvslam_graph.core.modes import outside_tracker
@@ -30,7 +29,7 @@ from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
 from fvslam_graph.vo.depth import typical_depth
 from fvslam_graph.vo.ground_plane import GroundAligner
-from fvslam_graph.vo.keyframe_motion import KeyframeMotion, standing, with_planar_ambiguity
+from fvslam_graph.vo.keyframe_motion import KeyframeMotion, are_apart, standing, with_planar_ambiguity
 from fvslam_graph.vo.lost_keyframes import LostKeyframe, LostKeyframes
 from fvslam_graph.vo.motion_measurement import GUESS, Keyframe, MotionMeasurement, View
 from fvslam_graph.vo.motion_model import ConstantVelocity
@@ -42,7 +41,6 @@ MIN_TRACK_RATIO = 2  # times the inliers needed: fewer tracks, and none is left 
 SHARE_AFTER_A_GAP = 0.7  # of the tracks that a motion explains at least: over a gap, half agree by chance now and then
 CLEAR_PARALLAX = 20.0  # deviations of a track's noise; with more, the first map is right
 MAX_FAILURES = 3  # textured images in a row that do not fit the keyframe before it is given up
-MOVED = chi2_gate(0.9999, 3)  # of a step: beyond, a camera does not stand
 CARRIED = 0.25  # variance of a logarithm, up to which the speed carries a scale without a map: within a factor of 1.6
 
 
@@ -236,16 +234,7 @@ class VisualOdometry:
         here = KeyframeMotion(self._keyframe_T_last.compose(step), view.tracks, view.keyframe.map)
         # Few points may be near enough to tell that it moves, and if their depths are known, they do.
         located = None if view.keyframe.map_is_weak else self._measurement.from_map(view)
-        return here if located is None or not self._has_moved(here, located) else None
-
-    def _has_moved(self, here: KeyframeMotion, located: KeyframeMotion) -> bool:
-        """Whether the camera is among known points where it cannot be if it stands."""
-        step = here.keyframe_T_cur.mean.transformTo(located.keyframe_T_cur.mean.translation())
-        noise = np.zeros((3, 3))
-        for pose in (here.keyframe_T_cur, located.keyframe_T_cur):  # both err by the scale of the map
-            own = pose.with_scale_variance(-pose.room_for_scale(here.map.variance))
-            noise += own.covariance[3:, 3:]
-        return bool(step @ np.linalg.solve(noise, step) > MOVED)
+        return here if located is None or not are_apart(here, located) else None
 
     def _accept_static(self, frame: Frame, motion: KeyframeMotion) -> VoEstimate:
         """Take over that the camera stands; where it came to stand is kept, so that it does not drift."""

@@ -23,7 +23,7 @@ from fvslam_graph.vo.deformation import undeformed
 from fvslam_graph.vo.depth import PIXEL_NOISE, triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, Rays, calibration_jacobian, epipolar_distance
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
-from fvslam_graph.vo.rotation import fit_rotation, motion_beside
+from fvslam_graph.vo.rotation import fit_rotation, motion_given_rotation
 
 KERNEL = 2.0  # deviations beyond which a match counts for less (Cauchy)
 START_NOISE = 0.2  # pixels, of a track along each axis, until residuals tell it,
@@ -285,7 +285,7 @@ def _starts(
             yield start, WIDTHS[FOUND:]
     if matches.known is None:
         rays = matches.rays.previous, matches.rays.current
-        yield motion_beside(fit_rotation(*rays, matches.rays.focal)[0], *rays), WIDTHS
+        yield motion_given_rotation(fit_rotation(*rays, matches.rays.focal)[0], *rays), WIDTHS
 
 
 def _refine(

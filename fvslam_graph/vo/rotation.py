@@ -39,7 +39,9 @@ def fit_rotation(
     return rotation, residual
 
 
-def motion_beside(rotation: gtsam.Rot3, previous: NDArray[np.float64], current: NDArray[np.float64]) -> gtsam.Pose3:
+def motion_given_rotation(
+    rotation: gtsam.Rot3, previous: NDArray[np.float64], current: NDArray[np.float64]
+) -> gtsam.Pose3:
     """The motion prev_T_cur whose rotation most points tell, its direction of travel by what that leaves unexplained.
 
     Where most points are on the horizon, few samples of five tell a direction. Least absolute distances from epipolar

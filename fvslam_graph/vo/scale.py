@@ -109,8 +109,8 @@ class MetricScale:
         bias_sigma, plane_sigma = self.settings.bias_sigma, self.settings.plane_sigma
         share = plane.roughness if plane is not None and height_sigma > 0 else 1.0
         measured = None if plane is None else replace(plane, roughness=share).measurement(plane_sigma)
-        step = ScaleStep(scale, transition, measured, (share * bias_sigma) ** 2, self._filter.bias_decay)
-        step = replace(step, common_variance=self._filter.common_variance)
+        decay, common_variance = self._filter.bias_decay, self._filter.common_variance
+        step = ScaleStep(scale, transition, measured, (share * bias_sigma) ** 2, decay, common_variance)
         return step if plane is None else replace(step, J_measured=plane.J_calibration)
 
     def _from_plane(self, views: TwoViews, predicted: LogScale, rng: np.random.Generator) -> GroundScale | None:

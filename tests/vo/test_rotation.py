@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fvslam_graph.vo.rotation import fit_rotation, motion_beside, near_parallax
+from fvslam_graph.vo.rotation import fit_rotation, motion_given_rotation, near_parallax
 
 TURN = gtsam.Rot3.Expmap(np.array([0.02, -0.05, 0.1]))
 
@@ -83,6 +83,6 @@ def test_a_direction_beside_the_rotation_of_the_horizon(step):
     current /= current[:, 2:]
     current[:, :2] += rng.normal(0, 0.2 / 450, (400, 2))
     current[3::100, :2] += rng.normal(0, 0.1, (4, 2))
-    found = motion_beside(fit_rotation(previous, current, 450.0)[0], previous, current)
+    found = motion_given_rotation(fit_rotation(previous, current, 450.0)[0], previous, current)
     assert np.linalg.norm(gtsam.Rot3.Logmap(true.rotation().between(found.rotation()))) < 2e-3
     assert found.translation() @ step > 0.95 * np.linalg.norm(step)
