@@ -37,6 +37,11 @@ class Tracks:
         bias = None if self.alignment_bias is None else self.alignment_bias[chosen]
         return Tracks(self.ids[chosen], self.keyframe[chosen], self.current[chosen], self.covariances[chosen], bias)
 
+    def joined(self, other: Tracks) -> Tracks:
+        """These tracks and others, without what deformed patches err by."""
+        mine, theirs = ((tracks.ids, tracks.keyframe, tracks.current, tracks.covariances) for tracks in (self, other))
+        return Tracks(*(np.concatenate(both) for both in zip(mine, theirs, strict=True)))
+
     @classmethod
     def none(cls) -> Tracks:
         """No tracks at all."""

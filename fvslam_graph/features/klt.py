@@ -10,8 +10,8 @@ from fvslam_graph.core.camera import Image
 from fvslam_graph.core.config import FeatureSettings
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.alignment_bias import alignment_bias
+from fvslam_graph.features.brightness import relative_brightness
 from fvslam_graph.features.detection import BORDER, detect
-from fvslam_graph.features.exposure import exposed, exposure_change, reduced
 from fvslam_graph.features.texture import Texture
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
@@ -22,13 +22,15 @@ class KltTracker:
 
     Every image is aligned with the keyframe itself, never with the image before, so that errors do not add up while
     one image stays the keyframe. A point is looked for where it would be if it went on as from the image before.
+    Brightness is relative to that of the surroundings, as far as the coarsest patch reaches.
     """
 
     def __init__(self, settings: FeatureSettings) -> None:
         self.settings = settings
-        self._image: Image | None = None  # the keyframe, in the exposure of the last image
-        self._last: Image | None = None  # image,
-        self._reduced = np.empty((0, 0))  # and that at a sixteenth of its size
+        self._reach = settings.klt_window << settings.klt_levels
+        self._image: Image | None = None  # the keyframe, in relative brightness
+        self._last: Image | None = None  # image as it came,
+        self._last_relative: Image | None = None  # and in relative brightness
         self._next_id = 0
         self._ids = np.empty(0, np.int64)
         self._points = np.empty((0, 2), np.float32)
@@ -41,14 +43,7 @@ class KltTracker:
         """The points of the keyframe that are found in `image`, forwards and back within `klt_backward` pixels."""
         if self._image is None or not len(self._points):
             return Tracks.none()
-        found, good = self._follow(self._image, image)
-        before, self._last, self._reduced = self._reduced, image, reduced(image)
-        if change := exposure_change(before, self._reduced):
-            # It may be the scene that has changed: what finds more points is right.
-            keyframe = exposed(self._image, *change)
-            others = self._follow(keyframe, image)
-            if others[1].sum() > good.sum():
-                self._image, (found, good) = keyframe, others
+        found, good = self._follow(self._image, self._relative(image))
         self._steps = np.where(good[:, None], found - self._seen, self._steps)
         self._seen = np.where(good[:, None], found, self._seen)
         current = found[good].astype(float)
@@ -57,11 +52,9 @@ class KltTracker:
 
     def set_keyframe(self, image: Image, kept: Tracks) -> Tracks:
         """Make `image` the keyframe: its points, the kept tracks and new corners, are returned."""
+        image = self._image = self._relative(image)
         texture = Texture.of(image, self.settings.octave)
         corners = detect(texture, self.settings, kept.current)
-        if image is not self._last:
-            self._last, self._reduced = image, reduced(image)
-        self._image = image
         self._steps = self._expected_steps(kept, corners)
         self._points = np.vstack([kept.current, corners]).astype(np.float32)
         self._ids = np.concatenate([kept.ids, self._next_id + np.arange(len(corners))])
@@ -71,6 +64,11 @@ class KltTracker:
         self._covariances = texture.displacement_covariances(points)
         self._bias = alignment_bias(image, self._points, self.settings.klt_window)
         return Tracks(self._ids, points, points, self._covariances, self._bias)
+
+    def _relative(self, image: Image) -> Image:
+        if image is not self._last or self._last_relative is None:
+            self._last, self._last_relative = image, relative_brightness(image, self._reach)
+        return self._last_relative
 
     def _expected_steps(self, kept: Tracks, corners: NDArray[np.float32]) -> NDArray[np.float32]:
         """How far points will go to the next image, (N, 2): as far as before, new corners as far as what is near."""

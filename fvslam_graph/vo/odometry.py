@@ -28,6 +28,7 @@ from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.features.ncc import NccMatcher
 from fvslam_graph.features.texture import Texture
 from fvslam_graph.vo.depth import typical_depth
+from fvslam_graph.vo.fixed_points import FixedPoints
 from fvslam_graph.vo.ground_plane import GroundAligner
 from fvslam_graph.vo.keyframe_motion import KeyframeMotion, are_apart, standing, with_planar_ambiguity
 from fvslam_graph.vo.lost_keyframes import LostKeyframe, LostKeyframes
@@ -97,6 +98,7 @@ class VisualOdometry:
         self._last_stamp = math.nan
         self._first = 0  # index of the first frame
         self._seen = Tracks.none()  # where the points were when the camera last moved
+        self._fixed = FixedPoints()
         self._lost = LostKeyframes()
         self._failures = 0  # usable images in a row that did not fit the keyframe
         self._coasted = 0  # images since the last one whose motion was believed
@@ -121,7 +123,7 @@ class VisualOdometry:
         if (found := self._found_again(frame)) is not None:
             return found
         with self._stopwatch.stage("association"):
-            tracks = self._tracker.track(frame.image)
+            tracks = self._fixed.without(self._tracker.track(frame.image))
         if len(tracks) < self.settings.min_inliers:
             return self._handle_lost(frame)
         view = self._view(self._keyframe, frame, tracks)
@@ -170,7 +172,7 @@ class VisualOdometry:
             estimate: Its estimate, with the tracks where they are in that image.
         """
         assert self._keyframe is not None
-        self._lost = LostKeyframes()
+        self._lost, self._fixed = LostKeyframes(), FixedPoints()
         pixels, far = estimate.tracks.current, np.subtract((self.camera.width, self.camera.height), BORDER + 1)
         inside = np.all((pixels > BORDER) & (pixels < far), axis=1)
         self._set_keyframe(frame, estimate.tracks[inside], estimate.map, self._keyframe.map_is_weak)
@@ -348,8 +350,8 @@ class VisualOdometry:
     def _set_keyframe(self, frame: Frame, kept: Tracks, known: MetricMap, weak: bool) -> None:
         assert frame.image is not None
         with self._stopwatch.stage("detection"):
-            self._seen = self._tracker.set_keyframe(frame.image, kept)
-        self._keyframe = Keyframe(frame, known, len(self._seen), weak)
+            self._seen = self._tracker.set_keyframe(frame.image, kept.joined(self._fixed.tracks))
+        self._keyframe = Keyframe(frame, known, len(self._seen) - len(self._fixed.tracks), weak)
         self._keyframe_T_last = GaussianPose.identity()
         self._failures = self._coasted = 0
         self._gate.forget()
