@@ -38,9 +38,17 @@ class Tracks:
         return Tracks(self.ids[chosen], self.keyframe[chosen], self.current[chosen], self.covariances[chosen], bias)
 
     def joined(self, other: Tracks) -> Tracks:
-        """These tracks and others, without what deformed patches err by."""
-        mine, theirs = ((tracks.ids, tracks.keyframe, tracks.current, tracks.covariances) for tracks in (self, other))
-        return Tracks(*(np.concatenate(both) for both in zip(mine, theirs, strict=True)))
+        """These tracks and others."""
+        bias = None
+        if self.alignment_bias is not None and other.alignment_bias is not None:
+            bias = np.concatenate([self.alignment_bias, other.alignment_bias])
+        return Tracks(
+            np.concatenate([self.ids, other.ids]),
+            np.concatenate([self.keyframe, other.keyframe]),
+            np.concatenate([self.current, other.current]),
+            np.concatenate([self.covariances, other.covariances]),
+            bias,
+        )
 
     @classmethod
     def none(cls) -> Tracks:

@@ -8,7 +8,7 @@ import numpy as np
 from fvslam_graph.core.camera import Image
 
 REDUCTION = 8  # mean brightness is taken from the image at an eighth of its size
-DARK = 16.0  # grey levels of surroundings below which differences are not enlarged further: there, they are noise
+DARK = 8.0  # grey levels of surroundings below which differences are not enlarged further: there, they are noise
 MIDDLE = 128.0  # grey level of what is as bright as its surroundings
 
 

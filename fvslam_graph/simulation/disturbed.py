@@ -121,7 +121,7 @@ def another_picture(sequence: Sequence, first: int, rng: np.random.Generator) ->
     """A picture in front of the lens, which does not move, for a while."""
     picture = texture((sequence.camera.height, sequence.camera.width), rng)
     noise = rng.normal(0, READ_NOISE, (LENGTH, *picture.shape)).astype(np.float32)
-    return repainted(sequence, first, first + LENGTH, lambda _, k: _grey(picture + noise[k]))
+    return repainted(sequence, first, first + LENGTH, lambda _, k: grey(picture + noise[k]))
 
 
 def moving_object(sequence: Sequence, first: int, rng: np.random.Generator) -> Disturbed:
@@ -133,7 +133,7 @@ def moving_object(sequence: Sequence, first: int, rng: np.random.Generator) -> D
 
     def paint(image: Image, k: int) -> Image:
         image = image.copy()
-        image[:, : width // 2] = _grey(surface[:, k * step : k * step + width // 2] + noise[k])
+        image[:, : width // 2] = grey(surface[:, k * step : k * step + width // 2] + noise[k])
         return image
 
     return repainted(sequence, first, first + LENGTH, paint)
@@ -142,7 +142,7 @@ def moving_object(sequence: Sequence, first: int, rng: np.random.Generator) -> D
 def brightness_jumps(sequence: Sequence, first: int, rng: np.random.Generator) -> Disturbed:
     """The exposure changes from image to image."""
     gains = rng.uniform(*GAINS, LENGTH)
-    return repainted(sequence, first, first + LENGTH, lambda image, k: _grey(image * np.float32(gains[k])))
+    return repainted(sequence, first, first + LENGTH, lambda image, k: grey(image * np.float32(gains[k])))
 
 
 DISTURBANCES: dict[str, Disturbance] = {
@@ -169,5 +169,6 @@ def texture(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.floa
     return np.asarray(128 + 35 * total, np.float32)
 
 
-def _grey(levels: NDArray[np.float32]) -> Image:
+def grey(levels: NDArray[np.float32]) -> Image:
+    """As a camera writes it, (H, W) uint8."""
     return np.clip(np.rint(levels), 0, 255).astype(np.uint8)

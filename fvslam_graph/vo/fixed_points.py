@@ -9,7 +9,7 @@ from fvslam_graph.core.quick import median
 from fvslam_graph.core.tracks import Tracks
 
 STILL = 0.5  # pixels from where it was first seen, within which a point has not moved
-MOVING = 5.0  # pixels, median over all points since the keyframe: with more, what is still is suspicious
+MOVING = 5.0  # pixels, median over the other points since the keyframe: with more, what is still is suspicious
 
 
 class FixedPoints:
@@ -32,7 +32,9 @@ class FixedPoints:
         first, moved, suspicious = tracks.keyframe.copy(), np.zeros(len(tracks), bool), np.zeros(len(tracks), bool)
         first[theirs], moved[theirs], suspicious[theirs] = self._first[mine], self._moved[mine], self._suspicious[mine]
         moved |= np.hypot(*(tracks.current - first).T) > STILL
-        if len(tracks) and median(np.hypot(*(tracks.current - tracks.keyframe).T)) > MOVING:
+        fixed = suspicious & ~moved
+        others = np.hypot(*(tracks.current - tracks.keyframe)[~fixed].T)
+        if len(others) and median(others) > MOVING:
             suspicious[:] = True
         self._ids, self._first, self._moved, self._suspicious = tracks.ids, first, moved, suspicious
         fixed = suspicious & ~moved

@@ -46,12 +46,15 @@ class Keyframe:
         map: What is known of the depths of its points.
         points: How many it has.
         map_is_weak: A plane seen with little parallax has two solutions: the map may be of the wrong one.
+        begins: Metres are to come, nothing was known of its points before, and no motion was clear yet: the scale of its
+            map is a guess, by hardly any parallax.
     """
 
     frame: Frame
     map: MetricMap
     points: int
     map_is_weak: bool
+    begins: bool = False
 
 
 @dataclass(frozen=True)
@@ -195,11 +198,13 @@ class MotionMeasurement:
             if trusted is not None and not view.first and not relative_pose.is_certain:
                 relative_pose = with_known_depths(relative_pose, tracks, unit, trusted, self._camera) or relative_pose
                 unit = self._by_two_views(tracks, relative_pose)
-            fallback = self._motion_model.distance(view.frame.stamp - keyframe.frame.stamp)
+            known, fallback = keyframe.map, self._motion_model.distance(view.frame.stamp - keyframe.frame.stamp)
+            if keyframe.begins and known.variance >= GUESS:  # now there is more
+                known, fallback = MetricMap.empty(), None
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = _guess(unit, view.distance)
             views = TwoViews(keyframe.frame, view.frame, relative_pose, self._camera.rays(tracks.keyframe), unit)
-            scale, known = self._scale.estimate(views, keyframe.map, fallback, self._rng)
+            scale, known = self._scale.estimate(views, known, fallback, self._rng)
         J_calibration = metric_jacobian(relative_pose, scale.length)[:, :5] @ relative_pose.J_calibration
         pose = metric_pose(relative_pose, scale.length)
         evidence = None if keyframe.map_is_weak else relative_pose.evidence  # with the wrong motion, it would be wrong
@@ -255,6 +260,4 @@ class MotionMeasurement:
 
 def _guess(unit: InverseDepths, distance: float) -> LogScale:
     """The scale at which triangulated points are as far away as things usually are."""
-    telling = unit.telling
-    seen = unit.values[telling] if 2 * telling.sum() < len(unit) else unit.values[unit.values > 0]  # not on a horizon
-    return LogScale(math.log(distance * median(seen)) if len(seen) else 0.0, GUESS)
+    return LogScale(math.log(distance * unit.usual) if unit.usual > 0 else 0.0, GUESS)

@@ -151,7 +151,8 @@ class VisualOdometry:
             self._set_keyframe(frame, motion.tracks, estimate.map, weak)
         else:  # motions from this keyframe go on in the scale of what was triangulated
             known = self._keyframe.map if motion.scale is None else motion.map
-            self._keyframe = replace(self._keyframe, map=known, map_is_weak=weak)
+            begins = self._keyframe.begins and not clear
+            self._keyframe = replace(self._keyframe, map=known, map_is_weak=weak, begins=begins)
         return replace(estimate, map_is_doubtful=weak and not clear)
 
     def correct_scale(self, calibration: NDArray[np.float64]) -> None:
@@ -351,7 +352,8 @@ class VisualOdometry:
         assert frame.image is not None
         with self._stopwatch.stage("detection"):
             self._seen = self._tracker.set_keyframe(frame.image, kept.joined(self._fixed.tracks))
-        self._keyframe = Keyframe(frame, known, len(self._seen) - len(self._fixed.tracks), weak)
+        points, begins = len(self._seen) - len(self._fixed.tracks), not (known or self._relative)
+        self._keyframe = Keyframe(frame, known, points, weak, begins)
         self._keyframe_T_last = GaussianPose.identity()
         self._failures = self._coasted = 0
         self._gate.forget()
