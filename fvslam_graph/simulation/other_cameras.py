@@ -1,4 +1,4 @@
-"""Recordings as other cameras would have made them: with a darker rim, another exposure, parts of the vehicle in view."""
+"""Recordings as other cameras would have made them: darker at the rim, under lamps, with the vehicle in view."""
 
 from __future__ import annotations
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fvslam_graph.core.quick import median
 from fvslam_graph.core.tracks import Tracks

@@ -46,8 +46,8 @@ class Keyframe:
         map: What is known of the depths of its points.
         points: How many it has.
         map_is_weak: A plane seen with little parallax has two solutions: the map may be of the wrong one.
-        begins: Metres are to come, nothing was known of its points before, and no motion was clear yet: the scale of its
-            map is a guess, by hardly any parallax.
+        begins: Metres are to come, nothing was known of its points before, and no motion was clear yet: the scale of
+            its map is a guess, by hardly any parallax.
     """
 
     frame: Frame

@@ -20,7 +20,8 @@ CORRECTED = 2  # of the numbers, the first: the logarithm of the focal length, a
 MIN_PAIRS = 5
 GROWTH = 1.25  # of the number of pairs, until they are looked at again; where they have corrected something already,
 GROWTH_CORRECTED = 2.0  # as each correction begins a new map
-GROSS = 3.0  # log likelihood that a pair of images gains in the mean
+GROSS = 3.0  # log likelihood that a pair of images gains in the mean, each time they are looked at,
+LOOKS = 2  # as often in a row: the first estimate that is certain is the one that errs most
 
 _log = logging.getLogger(__name__)
 
@@ -61,6 +62,7 @@ class OnlineCalibration:
         self._before: Recalibration | None = None
         self._now: Recalibration | None = None
         self._pairs, self._next = CalibrationPairs(), MIN_PAIRS
+        self._gross = 0  # looks in a row
 
     def rectified(self, frame: Frame) -> Frame:
         """A frame as its file has it, by the calibration as it is known now."""
@@ -90,7 +92,8 @@ class OnlineCalibration:
         free = (np.arange(NUMBERS) < CORRECTED) & errors.certain
         free[:CORRECTED] |= self.applied != 0
         mean = errors.likeliest(free)
-        if self._now is None and self._pairs.gain(mean) < GROSS:
+        self._gross = self._gross + 1 if self._now is not None or self._pairs.gain(mean) >= GROSS else 0
+        if self._gross < LOOKS:
             self.left = mean[:CORRECTED]
             return None
         correction = CalibrationCorrection(mean[:CORRECTED], errors.sigmas[:CORRECTED], self._pairs.news(CORRECTED))
