@@ -104,8 +104,7 @@ def test_a_quarter_of_all_tracks_on_the_vehicle_changes_nothing(world):
     alone, with_vehicle = (
         [estimate for frame in flight if (estimate := odometry.step(frame)).status is Status.TRACKED]
         for odometry in (
-            VisualOdometry(flight.camera, load_config(), flight.ground, tracker=WithVehicle(count))
-            for count in (0, 90)
+            VisualOdometry(flight.camera, load_config(), flight.ground, tracker=WithVehicle(count)) for count in (0, 90)
         )
     )
     assert len(alone) == len(with_vehicle) == 14
