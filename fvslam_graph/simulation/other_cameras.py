@@ -56,17 +56,21 @@ def night(image: Image, index: int) -> Image:
 
 def noisy(image: Image, index: int) -> Image:
     """A small sensor."""
-    return grey(image + np.random.default_rng(index).normal(0, NOISE, image.shape).astype(np.float32))
+    noise = np.random.default_rng(index).normal(0, NOISE, image.shape)
+    return grey((image + noise).astype(np.float32))
 
 
 def compressed(image: Image, index: int) -> Image:
     """A radio link with little bandwidth."""
-    return cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1], cv2.IMREAD_GRAYSCALE)
+    sent = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+    received: Image = cv2.imdecode(sent, cv2.IMREAD_GRAYSCALE)
+    return received
 
 
 def out_of_focus(image: Image, index: int) -> Image:
     """A lens that is not focused."""
-    return cv2.GaussianBlur(image, (0, 0), BLUR)
+    blurred: Image = cv2.GaussianBlur(image, (0, 0), BLUR)
+    return blurred
 
 
 def vehicle_in_view(image: Image, index: int) -> Image:
