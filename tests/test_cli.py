@@ -186,7 +186,7 @@ def test_info(drive, fvslam):
 
 def test_a_calibration_by_a_recording(fvslam, tmp_path):
     """What it writes is read again, and says that the file is right."""
-    calibrate = ("calibrate", "synthetic:uav?frames=40", "--out", tmp_path / "camera.yaml")
+    calibrate = ("calibrate", "synthetic:uav?frames=60", "--out", tmp_path / "camera.yaml")
     code, out, err = fvslam(*calibrate)
     assert (code, err) == (0, "")
     k1, sigma = map(float, re.search(r"^k1 = (\S+) \+- (\S+)$", out, re.MULTILINE).groups())

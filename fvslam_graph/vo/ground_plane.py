@@ -18,12 +18,14 @@ from fvslam_graph.core.camera import Camera, Image, by_calibration
 from fvslam_graph.core.config import GroundSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.quick import median
+from fvslam_graph.features.brightness import relative_brightness
 from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, epipolar_distance
 from fvslam_graph.vo.relative_pose import TwoViews
 
 _PATCH_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
 _PATCH_WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car
+_LEVELS = 1  # of the pyramid above the full image
 _SEARCH = 8.0  # pixels that the ground may lie off its prediction
 _HYPOTHESES = 60
 _LEVEL = 20  # of these, with the nominal normal
@@ -172,7 +174,9 @@ class GroundAligner:
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         )
         start = (self._grid - offset).astype(np.float32)
-        found, good = _lucas_kanade(previous[top:], warped, start, start, 1)
+        reach = max(_PATCH_WINDOW) << _LEVELS
+        before, now = (relative_brightness(image, reach) for image in (previous[top:], warped))
+        found, good = _lucas_kanade(before, now, start, start, _LEVELS)
         good &= np.hypot(*(found - start).T) < _SEARCH
         in_current = np.column_stack([found[good] + offset, np.ones(good.sum())]) @ homography.T
         ray, ray_current = self._rays[good], camera.rays(in_current[:, :2] / in_current[:, 2:])
