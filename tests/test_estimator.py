@@ -245,6 +245,7 @@ def test_visual_slam_that_starts_from_odometry_is_consistent():
 
 @pytest.mark.parametrize("online", ["continuous", "latest"])
 def test_the_graph_at_every_fifth_frame(flown, online):
+    flown = flown.select(0, 23)  # the last turn is at frame 21, and nothing tells more of the scale after it
     estimator = frame_estimator(flown, load_config(settings=["mode=graph", f"graph.online={online}"]))
     results = list(through(estimator, flown))
     ran = [result for result in results if result.slam is not None]
@@ -252,12 +253,12 @@ def test_the_graph_at_every_fifth_frame(flown, online):
     assert {result.status for result in results[1:]} == {Status.TRACKED}
     assert all(result.times["fusion"] > 0 for result in ran[1:])
     smoothed = estimator.finish().smoothed
-    assert len(smoothed) == 24
+    assert len(smoothed) == 23
     apart = smoothed.poses[ran[-1].index].between(ran[-1].pose.mean)
     assert apart.rotation().equals(gtsam.Rot3(), 1e-5)
-    jump = np.linalg.norm(apart.translation())  # metres; measured 0.05 and 0.009
-    assert (5e-3 < jump < 1) if online == "continuous" else jump < 0.05
-    error = smoothed.poses[-1].between(flown.ground_truth.poses[23])
+    jump = np.linalg.norm(apart.translation())  # metres; measured 0.04 and 0.0001
+    assert (1e-3 < jump < 1) if online == "continuous" else jump < 1e-3
+    error = smoothed.poses[-1].between(flown.ground_truth.poses[22])
     assert 0.001 < np.linalg.norm(error.translation()) < 0.5  # metres on 29 m; measured 0.1
 
 

@@ -170,5 +170,5 @@ def texture(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.floa
 
 
 def grey(levels: NDArray[np.float32]) -> Image:
-    """As a camera writes it, (H, W) uint8."""
+    """The image (H, W) uint8 that a camera writes."""
     return np.clip(np.rint(levels), 0, 255).astype(np.uint8)

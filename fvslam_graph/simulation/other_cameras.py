@@ -21,7 +21,7 @@ NIGHT = 0.25  # of the brightness
 NOISE = 5.0  # grey levels
 QUALITY = 35  # of JPEG
 BLUR = 1.5  # pixels, standard deviation
-VEHICLE = 8  # th part of the height, at the bottom, that shows the vehicle
+VEHICLE = 8  # times as high as the lowest rows, which show the vehicle, is the image
 DIRT = 12  # specks on the lens
 
 Effect = Callable[[Image, int], Image]

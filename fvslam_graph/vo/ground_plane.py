@@ -25,7 +25,7 @@ from fvslam_graph.vo.relative_pose import TwoViews
 
 _PATCH_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
 _PATCH_WINDOW = (17, 9)  # pixels; wide and low, as the texture of a road seen from a car
-_LEVELS = 1  # of the pyramid above the full image
+_PATCH_LEVELS = 1  # of the pyramid above the full image
 _SEARCH = 8.0  # pixels that the ground may lie off its prediction
 _HYPOTHESES = 60
 _LEVEL = 20  # of these, with the nominal normal
@@ -174,9 +174,9 @@ class GroundAligner:
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         )
         start = (self._grid - offset).astype(np.float32)
-        reach = max(_PATCH_WINDOW) << _LEVELS
+        reach = max(_PATCH_WINDOW) << _PATCH_LEVELS
         before, now = (relative_brightness(image, reach) for image in (previous[top:], warped))
-        found, good = _lucas_kanade(before, now, start, start, _LEVELS)
+        found, good = _lucas_kanade(before, now, start, start, _PATCH_LEVELS)
         good &= np.hypot(*(found - start).T) < _SEARCH
         in_current = np.column_stack([found[good] + offset, np.ones(good.sum())]) @ homography.T
         ray, ray_current = self._rays[good], camera.rays(in_current[:, :2] / in_current[:, 2:])

@@ -6,6 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from fvslam_graph.core.tracks import FeatureTracker
+from fvslam_graph.vo.fixed_points import FixedPoints
 from fvslam_graph.vo.motion_measurement import Keyframe
 
 MEMORY = 3.0  # seconds for which a lost keyframe is looked for,
@@ -19,12 +20,14 @@ class LostKeyframe:
     Attributes:
         keyframe: Its image and map.
         tracker: Finds its points.
+        fixed: Tells which of them may be fixed to the camera.
         stamp: Until when it was tracked.
         scale_known: Whether the map is in the scale of the run.
     """
 
     keyframe: Keyframe
     tracker: FeatureTracker
+    fixed: FixedPoints
     stamp: float
     scale_known: bool
 

@@ -46,15 +46,16 @@ class Keyframe:
         map: What is known of the depths of its points.
         points: How many it has.
         map_is_weak: A plane seen with little parallax has two solutions: the map may be of the wrong one.
-        begins: Metres are to come, nothing was known of its points before, and no motion was clear yet: the scale of
-            its map is a guess, by hardly any parallax.
+        scale_is_guessed: Nothing was known of its points before, and no motion was clear yet: unless something measured
+            it, the scale of its map is a guess by hardly any parallax. Where nothing ever tells metres, it is no guess
+            but a convention.
     """
 
     frame: Frame
     map: MetricMap
     points: int
     map_is_weak: bool
-    begins: bool = False
+    scale_is_guessed: bool
 
 
 @dataclass(frozen=True)
@@ -199,7 +200,7 @@ class MotionMeasurement:
                 relative_pose = with_known_depths(relative_pose, tracks, unit, trusted, self._camera) or relative_pose
                 unit = self._by_two_views(tracks, relative_pose)
             known, fallback = keyframe.map, self._motion_model.distance(view.frame.stamp - keyframe.frame.stamp)
-            if keyframe.begins and known.variance >= GUESS:  # now there is more
+            if keyframe.scale_is_guessed and known.variance >= GUESS:  # with more parallax, the guess is a better one
                 known, fallback = MetricMap.empty(), None
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:
                 fallback = _guess(unit, view.distance)
@@ -260,4 +261,5 @@ class MotionMeasurement:
 
 def _guess(unit: InverseDepths, distance: float) -> LogScale:
     """The scale at which triangulated points are as far away as things usually are."""
-    return LogScale(math.log(distance * unit.usual) if unit.usual > 0 else 0.0, GUESS)
+    usual = unit.usual
+    return LogScale(math.log(distance * usual) if usual > 0 else 0.0, GUESS)

@@ -151,8 +151,8 @@ class VisualOdometry:
             self._set_keyframe(frame, motion.tracks, estimate.map, weak)
         else:  # motions from this keyframe go on in the scale of what was triangulated
             known = self._keyframe.map if motion.scale is None else motion.map
-            begins = self._keyframe.begins and not clear
-            self._keyframe = replace(self._keyframe, map=known, map_is_weak=weak, begins=begins)
+            guessed = self._keyframe.scale_is_guessed and not clear
+            self._keyframe = replace(self._keyframe, map=known, map_is_weak=weak, scale_is_guessed=guessed)
         return replace(estimate, map_is_doubtful=weak and not clear)
 
     def correct_scale(self, calibration: NDArray[np.float64]) -> None:
@@ -301,9 +301,9 @@ class VisualOdometry:
         if patient:
             return estimate
         if len(self._keyframe.map) >= self.settings.min_inliers:
-            tracker = copy(self._tracker)
-            known = self._scale_known is not False
-            self._lost.add(LostKeyframe(self._keyframe, tracker, self._last_stamp, known))
+            tracker, known = copy(self._tracker), self._scale_known is not False
+            self._lost.add(LostKeyframe(self._keyframe, tracker, self._fixed, self._last_stamp, known))
+            self._fixed = FixedPoints()
         return replace(self._restart(estimate, frame), awaited=self._lost.indices)
 
     def _found_again(self, frame: Frame) -> VoEstimate | None:
@@ -311,7 +311,7 @@ class VisualOdometry:
         for lost in self._lost.remembered(frame.stamp):
             motion = self._return_to(lost, frame)
             if motion is not None:
-                self._lost = LostKeyframes()
+                self._lost, self._fixed = LostKeyframes(), lost.fixed
                 self._keyframe, self._last_stamp, self._scale_known = lost.keyframe, lost.stamp, lost.scale_known
                 estimate = self._accept(frame, motion)
                 self._set_keyframe(frame, motion.tracks, estimate.map, lost.keyframe.map_is_weak)
@@ -322,7 +322,7 @@ class VisualOdometry:
         """The motion from another keyframe, if enough of its points are found, and most of these agree."""
         assert frame.image is not None
         with self._stopwatch.stage("association"):
-            tracks = lost.tracker.track(frame.image)
+            tracks = lost.fixed.without(lost.tracker.track(frame.image))
         if len(tracks) < MIN_TRACK_RATIO * self.settings.min_inliers:
             return None
         motion = self._measurement.from_map(self._view(lost.keyframe, frame, tracks))
@@ -352,8 +352,8 @@ class VisualOdometry:
         assert frame.image is not None
         with self._stopwatch.stage("detection"):
             self._seen = self._tracker.set_keyframe(frame.image, kept.joined(self._fixed.tracks))
-        points, begins = len(self._seen) - len(self._fixed.tracks), not (known or self._relative)
-        self._keyframe = Keyframe(frame, known, points, weak, begins)
+        points, guessed = len(self._seen) - len(self._fixed.tracks), not len(known) and not self._relative
+        self._keyframe = Keyframe(frame, known, points, weak, guessed)
         self._keyframe_T_last = GaussianPose.identity()
         self._failures = self._coasted = 0
         self._gate.forget()

@@ -92,10 +92,11 @@ class OnlineCalibration:
         free = (np.arange(NUMBERS) < CORRECTED) & errors.certain
         free[:CORRECTED] |= self.applied != 0
         mean = errors.likeliest(free)
-        self._gross = self._gross + 1 if self._now is not None or self._pairs.gain(mean) >= GROSS else 0
-        if self._gross < LOOKS:
-            self.left = mean[:CORRECTED]
-            return None
+        if self._now is None:
+            self._gross = self._gross + 1 if self._pairs.gain(mean) >= GROSS else 0
+            if self._gross < LOOKS:
+                self.left = mean[:CORRECTED]
+                return None
         correction = CalibrationCorrection(mean[:CORRECTED], errors.sigmas[:CORRECTED], self._pairs.news(CORRECTED))
         if self._now is None:
             self._warn(correction)

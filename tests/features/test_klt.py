@@ -9,6 +9,8 @@ from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.detection import BORDER
 from fvslam_graph.features.klt import KltTracker
 
+from .conftest import HEIGHT, WIDTH
+
 
 @pytest.fixture
 def tracker(texture):
@@ -28,6 +30,8 @@ def test_points_are_found_to_a_fraction_of_a_pixel(texture, tracker, shift):
     tracks = tracker.track(texture(shift, noise=1.0))
     assert len(tracks) > 270
     assert 0.001 < np.median(misses(tracks, shift)) < 0.025  # measured 0.011 to 0.014
+    inside = np.all((tracks.keyframe > 48) & (tracks.keyframe < (WIDTH - 48, HEIGHT - 48)), axis=1)
+    assert misses(tracks[inside], shift).max() < 0.2  # measured 0.04 to 0.05
     assert misses(tracks, shift).max() < 0.5  # measured 0.06 to 0.22, where other things come over the rim
 
 
@@ -56,8 +60,8 @@ def test_what_is_covered_is_lost(texture, tracker):
     tracks = tracker.track(image)
     seen, covered = tracks.keyframe[:, 0] < 150, tracks.keyframe[:, 0] > 170
     assert seen.sum() == (points.current[:, 0] < 150).sum()
-    assert misses(tracks[seen], 0).max() < 0.3  # measured 0.13, next to what is covered: its brightness is another
-    assert np.median(misses(tracks[seen], 0)) < 0.002
+    assert misses(tracks[seen], 0).max() < 0.3  # measured 0.12, next to what is covered: its brightness is another
+    assert misses(tracks[tracks.keyframe[:, 0] < 100], 0).max() < 0.02  # measured 0.0025
     assert covered.sum() < 0.35 * (points.current[:, 0] > 170).sum()  # measured 0.19: something similar is around
 
 

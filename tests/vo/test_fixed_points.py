@@ -1,5 +1,6 @@
 """Points that are fixed to the camera."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,8 @@ from fvslam_graph.features.klt import KltTracker
 from fvslam_graph.testing import rendered
 from fvslam_graph.vo.fixed_points import FixedPoints
 from fvslam_graph.vo.odometry import VisualOdometry
+
+from .conftest import texture
 
 COUNT = 20
 VEHICLE = 1_000_000  # ids from here on are of points on the vehicle
@@ -86,15 +89,21 @@ class WithVehicle:
     """Tracks points of the scene, and others that are fixed to the camera."""
 
     def __init__(self, count: int) -> None:
-        pixels = np.random.default_rng(1).uniform((10, 400), (630, 470), (count, 2))
+        pixels = np.random.default_rng(1).uniform((10, 180), (310, 230), (count, 2))
         fixed = Tracks.alike(VEHICLE + np.arange(count), pixels, pixels)
         self._scene = KltTracker(FeatureSettings())
         self._fixed = replace(fixed, alignment_bias=np.zeros((count, 2, 2, 2)))
+
+    def __copy__(self) -> "WithVehicle":
+        other = WithVehicle(len(self._fixed))
+        other._scene = copy(self._scene)
+        return other
 
     def track(self, image: Image) -> Tracks:
         return self._scene.track(image).joined(self._fixed)
 
     def set_keyframe(self, image: Image, kept: Tracks) -> Tracks:
+        assert len(np.unique(kept.ids)) == len(kept)
         return self._scene.set_keyframe(image, kept[kept.ids < VEHICLE]).joined(self._fixed)
 
 
@@ -112,3 +121,15 @@ def test_a_quarter_of_all_tracks_on_the_vehicle_changes_nothing(world):
         assert other.tracks.ids.max() < VEHICLE
         difference = one.prev_T_cur.mean.localCoordinates(other.prev_T_cur.mean)
         assert np.abs(difference).max() < 2e-3  # metres; measured 2e-4, as other chances look for the ground
+
+
+def test_a_keyframe_that_is_found_again_knows_what_was_fixed(slow_flight):
+    sequence = slow_flight.sequence
+    odometry = VisualOdometry(sequence.camera, load_config(), sequence.ground, tracker=WithVehicle(60))
+    another = texture(sequence.camera, 1)
+    estimates = []
+    for frame in slow_flight.frames[:20]:
+        image = np.roll(another, 90 * frame.index, axis=1) if 10 <= frame.index < 14 else frame.image
+        estimates.append(odometry.step(replace(frame, image=image)))
+    assert estimates[14].status is Status.TRACKED and estimates[14].previous < 10  # found again
+    assert not any((estimate.tracks.ids >= VEHICLE).any() for estimate in estimates)

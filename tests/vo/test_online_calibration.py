@@ -84,6 +84,20 @@ def test_what_was_corrected_stays_when_later_pairs_are_not_certain(camera, pair)
     assert not since.applied.any()  # by themselves, they correct nothing
 
 
+def test_what_is_gross_at_one_look_only_is_not_taken_out(camera):
+    """It has to be so at the next look, too: five pairs, then seven."""
+    information = np.diag([1e4, 1.5e5, 1.0, 1.0, 1.0, 1.0, 1.0])
+    gross, less = (
+        CalibrationEvidence(information, information @ np.array([0, k1, 0, 0, 0, 0, 0])) for k1 in (0.008, 0)
+    )
+    online = OnlineCalibration(camera)
+    assert not any(online.add(evidence) for evidence in [gross] * 5 + [less] * 2 + [gross] * 2)
+    assert online.left[1] > 0.004 and not online.applied.any()
+    steady = OnlineCalibration(camera)
+    corrections = [steady.add(gross) for _ in range(7)]
+    assert not any(corrections[:6]) and corrections[6].mean[1] == pytest.approx(0.008, rel=0.05)
+
+
 def test_what_is_certain_and_small_is_left_to_the_scale(camera):
     online = OnlineCalibration(camera)
     k1, information = 0.005, np.diag([1e4, 1.5e5, 1.0, 1.0, 1.0, 1.0, 1.0])  # within 0.0026 by each pair
