@@ -189,6 +189,9 @@ class MotionMeasurement:
             )
         if relative_pose is None:
             return None
+        known = keyframe.map
+        if relative_pose.refutes_depths:
+            trusted, known = None, MetricMap.empty()
         inliers, current = ~used, tracks.current.copy()
         inliers[used], current[used] = relative_pose.inliers, relative_pose.current
         relative_pose = replace(relative_pose, inliers=inliers, current=current)
@@ -199,7 +202,7 @@ class MotionMeasurement:
             if trusted is not None and not view.first and not relative_pose.is_certain:
                 relative_pose = with_known_depths(relative_pose, tracks, unit, trusted, self._camera) or relative_pose
                 unit = self._by_two_views(tracks, relative_pose)
-            known, fallback = keyframe.map, self._motion_model.distance(view.frame.stamp - keyframe.frame.stamp)
+            fallback = self._motion_model.distance(view.frame.stamp - keyframe.frame.stamp)
             if keyframe.scale_is_guessed and known.variance >= GUESS:  # with more parallax, the guess is a better one
                 known, fallback = MetricMap.empty(), None
             if fallback is None or fallback.variance > self._motion_model.log_variance + GUESS:

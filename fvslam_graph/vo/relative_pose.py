@@ -22,7 +22,7 @@ from fvslam_graph.features.ransac import RansacOptions, relative_poses
 from fvslam_graph.vo.deformation import undeformed
 from fvslam_graph.vo.depth import PIXEL_NOISE, triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, Rays, calibration_jacobian, epipolar_distance
-from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
+from fvslam_graph.vo.m_estimator import clustered, m_estimator_covariance, neighbourhoods
 from fvslam_graph.vo.rotation import fit_rotation, motion_given_rotation
 
 KERNEL = 2.0  # deviations beyond which a match counts for less (Cauchy)
@@ -48,6 +48,7 @@ RANSAC_TRACKS = 120  # that RANSAC looks at, at least, where there are more
 ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
 MAX_BEHIND = 5.0  # deviations that a depth behind the camera counts for
+REFUTED = 3.0  # deviations of chance, by which one motion explains the images better than another
 SPREAD = 0.5  # of inverse depths about what is usual, where none is known: all are ahead, few much nearer than others
 
 
@@ -65,6 +66,8 @@ class RelativePose:
         noise: Pixels, standard deviation of a corner's displacement along each axis, by these.
         J_calibration: (5, 2) how the pose changes with the logarithm of the focal length and with k1.
         evidence: What the views say of these two; None where they were not asked.
+        refutes_depths: The motion that agrees with the depths that were known does not explain the images: the depths
+            are wrong.
     """
 
     rotation: gtsam.Rot3
@@ -75,6 +78,7 @@ class RelativePose:
     noise: float
     J_calibration: NDArray[np.float64]
     evidence: CalibrationEvidence | None = None
+    refutes_depths: bool = False
 
     @property
     def unit_pose(self) -> gtsam.Pose3:
@@ -140,8 +144,12 @@ def estimate_relative_pose(
                 break
     if not fits:
         return None
-    noise = min(fit.noise for fit in fits)
-    best = min(fits, key=lambda fit: fit.cost(noise)) if len(fits) > 1 else fits[0]
+    best, refutes_depths = fits[0], False
+    if len(fits) > 1:
+        noise = min(fit.noise for fit in fits)
+        best = min(fits, key=lambda fit: fit.distance_costs(noise).sum() + fit.depth_cost(noise))
+        if known is not None and fits[-1].is_beyond_doubt(limit) and fits[-1].refutes(best, noise):
+            best, refutes_depths = fits[-1], True
     inliers = best.explained(limit)
     if inliers.sum() < max(settings.min_inliers, settings.min_inlier_share * len(tracks)):
         return None
@@ -154,7 +162,7 @@ def estimate_relative_pose(
     J_calibration, evidence = best.calibration(told)
     current = best.matches.tracks.current
     return RelativePose(
-        best.rotation, best.direction, covariance, inliers, current, best.noise, J_calibration, evidence
+        best.rotation, best.direction, covariance, inliers, current, best.noise, J_calibration, evidence, refutes_depths
     )
 
 
@@ -248,12 +256,21 @@ class _Fit:
         evidence = CalibrationEvidence(information / self.noise**2, gradient / self.noise**2)
         return np.asarray(J_calibration[:, :2], float), evidence
 
-    def cost(self, noise: float) -> float:
-        """Cauchy cost of the epipolar distances, and of how the depths depart from those known, up to their scale.
+    def refutes(self, other: _Fit, noise: float) -> bool:
+        """Whether it is better than another by more than chance, whatever depths say (Vuong 1989, by neighbourhoods)."""
+        gain = other.distance_costs(noise) - self.distance_costs(noise)
+        gains = clustered(gain[:, None], neighbourhoods(self.matches.tracks.keyframe, self.matches.camera))
+        return bool(gains.sum() > REFUTED * np.linalg.norm(gains))
+
+    def distance_costs(self, noise: float) -> NDArray[np.float64]:
+        """(N,) Cauchy costs of the epipolar distances."""
+        return np.asarray(np.log1p((self.distance / (KERNEL * noise)) ** 2))
+
+    def depth_cost(self, noise: float) -> float:
+        """Cauchy cost of how the depths depart from those known, up to their scale.
 
         Where none is known, all are taken to be about the same.
         """
-        cost = float(np.log1p((self.distance / (KERNEL * noise)) ** 2).sum())
         known, depths = self.matches.known, self.matches.depths(self.rotation, self.direction, noise)
         if known is None:
             known = InverseDepths.independent(depths.ids, np.ones(len(depths)), np.full(len(depths), SPREAD))
@@ -262,14 +279,14 @@ class _Fit:
         expected, doubt = known.values[theirs], known.total_sigmas[theirs] ** 2
         ahead = values > 0
         if not ahead.any():
-            return cost + len(mine) * float(np.log1p((MAX_BEHIND / KERNEL) ** 2))
+            return len(mine) * float(np.log1p((MAX_BEHIND / KERNEL) ** 2))
         scale = math.exp(median(np.log(values[ahead] / expected[ahead])))
         for _ in range(SCALE_ITERATIONS):
             total = variance + scale**2 * doubt
             square = (values - scale * expected) ** 2 / total
             weight = 1 / total / (1 + square / KERNEL**2)
             scale = float((weight * values * expected).sum() / (weight * expected**2).sum())
-        return cost + float(np.log1p(square / KERNEL**2).sum())
+        return float(np.log1p(square / KERNEL**2).sum())
 
 
 def _starts(

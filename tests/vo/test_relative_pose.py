@@ -11,6 +11,7 @@ from fvslam_graph.core.config import VoSettings
 from fvslam_graph.core.inverse_depths import InverseDepths
 from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.evaluation.nees import nees_band
+from fvslam_graph.vo.depth import triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, calibration_jacobian, epipolar_distance
 from fvslam_graph.vo.relative_pose import estimate_relative_pose
 
@@ -188,6 +189,32 @@ def test_of_two_solutions_of_a_plane_the_map_chooses(camera, plane_scene, seed):
         estimate = estimate_relative_pose(scene.tracks, camera, SETTINGS, seed, expected, known)
         assert np.abs(error_of(estimate, motion)).max() < 0.06
         assert np.abs(error_of(estimate, other)).max() > 0.2
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_map_of_the_wrong_solution_is_refuted_once_images_tell(camera, plane_scene, seed):
+    """Ground that is rough by 0.6 % looks plane by a short motion, so that the map may be wrong; by a longer one it does not."""
+    scene, motion, other = plane_scene(seed)
+    rng = np.random.default_rng(seed)
+    points = scene.points * (1 + 0.006 * rng.standard_normal((len(scene.points), 1)))
+
+    def views(length: float) -> Tracks:
+        moved = gtsam.Pose3(motion.rotation(), length * motion.translation())
+        current = camera.project(moved.transformTo(points.T).T)
+        return replace(scene.tracks, current=current + 0.1 * rng.standard_normal(current.shape))
+
+    short, rays = scene.tracks, MatchedRays.of(camera, scene.tracks)
+    direction = other.translation() / np.linalg.norm(other.translation())
+    wrong = triangulate(short.ids, rays, other.rotation(), direction, 0.15)
+    wrong = replace(wrong[wrong.values > 0], sigmas=0.02 * wrong.values[wrong.values > 0])
+    agrees = gtsam.Pose3(other.rotation(), 2 * other.translation())
+    estimate = estimate_relative_pose(views(2.0), camera, SETTINGS, seed, [agrees], wrong)
+    assert estimate.refutes_depths
+    assert np.abs(error_of(estimate, motion)).max() < 0.02
+    right = InverseDepths.independent(short.ids, 1 / points[:, 2], 0.03 / points[:, 2])
+    assert not estimate_relative_pose(views(2.0), camera, SETTINGS, seed, [agrees], right).refutes_depths
+    # Where the images cannot tell, the map is not blamed.
+    assert not estimate_relative_pose(short, camera, SETTINGS, seed, [other], wrong).refutes_depths
 
 
 def test_of_two_solutions_of_a_plane_the_flatter_one_is_taken_where_nothing_is_known(camera, plane_scene):
