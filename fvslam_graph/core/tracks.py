@@ -22,6 +22,7 @@ class Tracks:
         covariances: (N, 2, 2) of the displacements, in variances of one on a corner, along either axis.
         alignment_bias: (N, 2, 2, 2) pixels by which displacements err where patches are deformed, see
             `features.alignment_bias`; None where they do not, or where that is not known.
+        turn: Radians, from x to y, by which patches were turned before they were aligned.
     """
 
     ids: NDArray[np.int64]
@@ -29,16 +30,19 @@ class Tracks:
     current: NDArray[np.float64]
     covariances: NDArray[np.float64]
     alignment_bias: NDArray[np.float64] | None = None
+    turn: float = 0.0
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Tracks:
         bias = None if self.alignment_bias is None else self.alignment_bias[chosen]
-        return Tracks(self.ids[chosen], self.keyframe[chosen], self.current[chosen], self.covariances[chosen], bias)
+        return Tracks(
+            self.ids[chosen], self.keyframe[chosen], self.current[chosen], self.covariances[chosen], bias, self.turn
+        )
 
     def joined(self, other: Tracks) -> Tracks:
-        """These tracks and others."""
+        """These tracks and others of the same image."""
         bias = None
         if self.alignment_bias is not None and other.alignment_bias is not None:
             bias = np.concatenate([self.alignment_bias, other.alignment_bias])
@@ -48,6 +52,7 @@ class Tracks:
             np.concatenate([self.current, other.current]),
             np.concatenate([self.covariances, other.covariances]),
             bias,
+            self.turn,
         )
 
     @classmethod

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +15,10 @@ from fvslam_graph.features.alignment_bias import alignment_bias
 from fvslam_graph.features.brightness import relative_brightness
 from fvslam_graph.features.detection import BORDER, detect
 from fvslam_graph.features.texture import Texture
+from fvslam_graph.features.turn import Turn
 
+MOST = 0.5  # of the points that were followed, which are found as long as the image shows the same scene
+SEARCH_LEVELS = 2  # by which they are looked for higher in the pyramid, where nothing tells how far they go
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
 
 
@@ -22,7 +27,8 @@ class KltTracker:
 
     Every image is aligned with the keyframe itself, never with the image before, so that errors do not add up while
     one image stays the keyframe. A point is looked for where it would be if it went on as from the image before.
-    Brightness is relative to that of the surroundings, as far as the coarsest patch reaches.
+    Where the camera has rolled, the image is turned back before. Brightness is relative to that of the surroundings, as
+    far as the coarsest patch reaches.
     """
 
     def __init__(self, settings: FeatureSettings) -> None:
@@ -38,17 +44,22 @@ class KltTracker:
         self._bias = np.empty((0, 2, 2, 2))
         self._seen = self._points  # where they were last,
         self._steps = self._points  # and how far they went from one image to the next
+        self._followed = np.empty(0, bool)  # of which that is known
 
     def track(self, image: Image) -> Tracks:
         """The points of the keyframe that are found in `image`, forwards and back within `klt_backward` pixels."""
         if self._image is None or not len(self._points):
             return Tracks.none()
-        found, good = self._follow(self._image, self._relative(image))
+        expected = self._seen + self._steps
+        turn = Turn.between(self._points[self._followed], expected[self._followed]) if self._followed.any() else None
+        found, good = self._follow(self._image, self._relative(image), expected, turn)
         self._steps = np.where(good[:, None], found - self._seen, self._steps)
         self._seen = np.where(good[:, None], found, self._seen)
-        current = found[good].astype(float)
-        points = self._points[good].astype(float)
-        return Tracks(self._ids[good], points, current, self._covariances[good], self._bias[good])
+        if good.sum() > MOST * self._followed.sum():  # fewer may be there by chance
+            self._followed = good
+        points, current = self._points[good].astype(float), found[good].astype(float)
+        tracks = Tracks(self._ids[good], points, current, self._covariances[good], self._bias[good])
+        return tracks if turn is None else replace(tracks, covariances=turn.turned(tracks.covariances), turn=turn.angle)
 
     def set_keyframe(self, image: Image, kept: Tracks) -> Tracks:
         """Make `image` the keyframe: its points, the kept tracks and new corners, are returned."""
@@ -60,6 +71,7 @@ class KltTracker:
         self._ids = np.concatenate([kept.ids, self._next_id + np.arange(len(corners))])
         self._next_id += len(corners)
         self._seen = self._points
+        self._followed = np.arange(len(self._points)) < len(kept)
         points = self._points.astype(float)
         self._covariances = texture.displacement_covariances(points)
         self._bias = alignment_bias(image, self._points, self.settings.klt_window)
@@ -80,12 +92,19 @@ class KltTracker:
         near = ((kept.current**2).sum(axis=1) - 2 * corners @ kept.current.T).argmin(axis=1)
         return np.vstack([steps, steps[near]])
 
-    def _follow(self, keyframe: Image, image: Image) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _follow(
+        self, keyframe: Image, image: Image, expected: NDArray[np.float32], turn: Turn | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Pixels (N, 2) where the points are in the image, and (N,) whether the way back leads to where they were."""
-        found, forward = self._align(keyframe, image, self._points, self._seen + self._steps, self.settings.klt_levels)
+        height, width = image.shape
+        if turn is not None:
+            image, expected = turn.upright(image), turn.into_upright(expected)
+        levels = self.settings.klt_levels + (SEARCH_LEVELS if not self._followed.any() else 0)
+        found, forward = self._align(keyframe, image, self._points, expected, levels)
         # The way back starts at the answer, so that the full image suffices.
         returned, backward = self._align(image, keyframe, found, self._points, 0)
-        height, width = image.shape
+        if turn is not None:
+            found = turn.out_of_upright(found)
         inside = np.all((found > BORDER) & (found < (width - BORDER - 1, height - BORDER - 1)), axis=1)
         error = np.hypot(*(returned - self._points).T)
         return found, forward & backward & inside & (error < self.settings.klt_backward)

@@ -38,7 +38,8 @@ def undeformed(
     # A point at x + d in the keyframe, at the depth of x, is seen at R (x + d - t / depth).
     depth_ratio = matched.previous @ R[2] - near * float(R[2] @ baseline)
     stretched = R[:2, :2] - matched.current[:, :2, None] * R[2, :2]
-    deformation = stretched / np.maximum(depth_ratio, NEAREST)[:, None, None] - np.eye(2)
-    shift = np.einsum("nijk,njk->ni", tracks.alignment_bias, deformation).clip(-MAX_SHIFT, MAX_SHIFT)
+    turned = gtsam.Rot2(tracks.turn).matrix()
+    deformation = turned.T @ stretched / np.maximum(depth_ratio, NEAREST)[:, None, None] - np.eye(2)
+    shift = np.einsum("nijk,njk->ni", tracks.alignment_bias, deformation).clip(-MAX_SHIFT, MAX_SHIFT) @ turned.T
     doubt = (SHARE / CORNER_NOISE) ** 2 * shift[:, :, None] * shift[:, None, :]
     return replace(tracks, current=tracks.current - shift, covariances=tracks.covariances + doubt)

@@ -48,6 +48,20 @@ def test_deformation_by_finite_differences(axis):
         assert moved[:, 1] == pytest.approx(0)
 
 
+def test_where_the_image_was_turned_patches_are_deformed_by_what_is_left():
+    turn, step = 0.4, 1e-4
+    R = gtsam.Rot2(turn).matrix()
+    across, down = ((seen(PIXELS + step * e) - seen(PIXELS - step * e)) / (2 * step) for e in np.eye(2))
+    left = np.stack([across, down], axis=2)  # (N, 2, 2) of the image
+    left = R.T @ left - np.eye(2)  # and of the image that is turned back
+    bias = np.random.default_rng(0).normal(0, 0.3, (len(PIXELS), 2, 2, 2))
+    given = replace(tracks(bias), turn=turn)
+    known = InverseDepths.independent(given.ids, 1 / DEPTHS, np.zeros(len(PIXELS)))
+    moved = undeformed(given, MatchedRays.of(CAMERA, given), MOTION.rotation(), MOTION.translation(), known)
+    expected = np.einsum("nijk,njk->ni", bias, left) @ R.T
+    assert given.current - moved.current == pytest.approx(expected, abs=1e-6)
+
+
 def test_depths_that_are_noise_bring_nothing_nearer():
     bias = np.zeros((len(PIXELS), 2, 2, 2))
     bias[:, 0, 0, 0] = 1.0
