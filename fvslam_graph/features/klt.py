@@ -18,6 +18,7 @@ from fvslam_graph.features.texture import Texture
 from fvslam_graph.features.turn import Turn
 
 MOST = 0.5  # of the points that were followed, which are found as long as the image shows the same scene
+NEAR = 9  # points that go about the same way
 SEARCH_LEVELS = 2  # by which they are looked for higher in the pyramid, where nothing tells how far they go
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
 
@@ -50,9 +51,13 @@ class KltTracker:
         """The points of the keyframe that are found in `image`, forwards and back within `klt_backward` pixels."""
         if self._image is None or not len(self._points):
             return Tracks.none()
-        expected = self._seen + self._steps
-        turn = Turn.between(self._points[self._followed], expected[self._followed]) if self._followed.any() else None
-        found, good = self._follow(self._image, self._relative(image), expected, turn)
+        image = self._relative(image)
+        expected, turn = self._seen + self._steps, None
+        if self._followed.any():
+            turn = Turn.between(self._points[self._followed], expected[self._followed])
+        else:
+            expected = self._roughly(image)
+        found, good = self._follow(self._image, image, expected, turn)
         self._steps = np.where(good[:, None], found - self._seen, self._steps)
         self._seen = np.where(good[:, None], found, self._seen)
         if good.sum() > MOST * self._followed.sum():  # fewer may be there by chance
@@ -92,6 +97,19 @@ class KltTracker:
         near = ((kept.current**2).sum(axis=1) - 2 * corners @ kept.current.T).argmin(axis=1)
         return np.vstack([steps, steps[near]])
 
+    def _roughly(self, image: Image) -> NDArray[np.float32]:
+        """Where the points may be, (N, 2), if nothing tells how far they went: as far as most that are near."""
+        assert self._image is not None
+        found, good = self._align(
+            self._image, image, self._points, self._points, self.settings.klt_levels + SEARCH_LEVELS
+        )
+        steps = (found - self._points)[good]
+        if len(steps) < NEAR:
+            return self._points
+        off = (self._points[:, None] - self._points[None, good]) ** 2
+        near = off.sum(axis=2).argpartition(NEAR - 1, axis=1)[:, :NEAR]
+        return np.asarray(self._points + np.median(steps[near], axis=1), np.float32)
+
     def _follow(
         self, keyframe: Image, image: Image, expected: NDArray[np.float32], turn: Turn | None
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -99,8 +117,7 @@ class KltTracker:
         height, width = image.shape
         if turn is not None:
             image, expected = turn.upright(image), turn.into_upright(expected)
-        levels = self.settings.klt_levels + (SEARCH_LEVELS if not self._followed.any() else 0)
-        found, forward = self._align(keyframe, image, self._points, expected, levels)
+        found, forward = self._align(keyframe, image, self._points, expected, self.settings.klt_levels)
         # The way back starts at the answer, so that the full image suffices.
         returned, backward = self._align(image, keyframe, found, self._points, 0)
         if turn is not None:

@@ -1,4 +1,4 @@
-"""Images turned back to how the keyframe was held, since a tracker that only shifts patches loses them where it rolls."""
+"""Images turned back to how the keyframe was held: patches that are only shifted get lost where a camera rolls."""
 
 from __future__ import annotations
 

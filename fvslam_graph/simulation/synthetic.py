@@ -15,6 +15,7 @@ from fvslam_graph.core.errors import SequenceError
 from fvslam_graph.core.sequence import Sequence
 from fvslam_graph.simulation.worlds.drive import DriveWorld
 from fvslam_graph.simulation.worlds.effects import Effects
+from fvslam_graph.simulation.worlds.manoeuvres import Manoeuvre
 from fvslam_graph.simulation.worlds.motion import RATE, Motion
 from fvslam_graph.simulation.worlds.ripmap import Grey
 from fvslam_graph.simulation.worlds.uav import UavWorld, View
@@ -59,6 +60,7 @@ class UavOptions(_Options):
 
     size: Size = (640, 480)
     camera: View = "downward"
+    manoeuvre: Manoeuvre | None = None  # in place of a flight that weaves and climbs
 
 
 class DriveOptions(_Options):
@@ -141,7 +143,7 @@ def synthetic_sequence(world: str, name: str | None = None, /, **options: Any) -
 
 def _build(options: _Options) -> World:
     if isinstance(options, UavOptions):
-        return UavWorld(options.size, options.camera, options.duration, options.movers, options.seed)
+        return UavWorld(options.size, options.camera, options.duration, options.movers, options.seed, options.manoeuvre)
     return DriveWorld(options.size, options.duration, options.movers, options.seed)
 
 

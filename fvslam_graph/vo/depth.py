@@ -154,4 +154,9 @@ def typical_depth(
         return 1 / usual
     if down is None or not height > 0 or not len(rays):
         return UNKNOWN_DEPTH
-    return height * median(1 / np.maximum(rays @ down, 1 / GROUND_REACH))
+    return height * median(1 / ground_depths(rays, down))
+
+
+def ground_depths(rays: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse depths (N,) of the ground at distance 1 along rays (N, 3), z = 1; far away where it is not seen."""
+    return np.maximum(rays @ down, 1 / GROUND_REACH)

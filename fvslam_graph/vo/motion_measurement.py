@@ -92,6 +92,7 @@ class MotionMeasurement:
         scale: Tells lengths.
         motion_model: Tells them where nothing else does.
         rng: Draws the samples.
+        down: (3,) unit vector to the ground in the camera; None where there is none.
     """
 
     def __init__(
@@ -101,8 +102,9 @@ class MotionMeasurement:
         scale: MetricScale,
         motion_model: ConstantVelocity,
         rng: np.random.Generator,
+        down: NDArray[np.float64] | None = None,
     ) -> None:
-        self._camera, self._settings = camera, settings
+        self._camera, self._settings, self._down = camera, settings, down
         self._scale, self._motion_model, self._rng = scale, motion_model, rng
 
     def measure(self, view: View) -> KeyframeMotion | None:
@@ -185,7 +187,7 @@ class MotionMeasurement:
         trusted = None if keyframe.map_is_weak else keyframe.map.depths
         with view.stopwatch.stage("pose"):
             relative_pose = estimate_relative_pose(
-                tracks[used], self._camera, self._settings, self._seed(), self._expected(view), trusted
+                tracks[used], self._camera, self._settings, self._seed(), self._expected(view), trusted, self._down
             )
         if relative_pose is None:
             return None
@@ -197,11 +199,12 @@ class MotionMeasurement:
         relative_pose = replace(relative_pose, inliers=inliers, current=current)
         with view.stopwatch.stage("scale"):
             tracks = replace(tracks, current=current)[inliers]
-            unit = self._by_two_views(tracks, relative_pose)
             # Where keyframes follow each other, depths by one motion in the next one would make its errors grow.
             if trusted is not None and not view.first and not relative_pose.is_certain:
-                relative_pose = with_known_depths(relative_pose, tracks, unit, trusted, self._camera) or relative_pose
                 unit = self._by_two_views(tracks, relative_pose)
+                relative_pose = with_known_depths(relative_pose, tracks, unit, trusted, self._camera) or relative_pose
+            relative_pose = replace(relative_pose, covariance=relative_pose.covariance + relative_pose.spread)
+            unit = self._by_two_views(tracks, relative_pose)
             fallback = self._motion_model.distance(view.frame.stamp - keyframe.frame.stamp)
             if keyframe.scale_is_guessed and known.variance >= GUESS:  # with more parallax, the guess is a better one
                 known, fallback = MetricMap.empty(), None

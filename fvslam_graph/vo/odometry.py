@@ -87,7 +87,7 @@ class VisualOdometry:
         self._motion_model = ConstantVelocity(config.vo)
         self._scale = MetricScale(config.scale, aligner, true_baseline, common_sigma)
         rng = np.random.default_rng(config.seed)
-        self._measurement = MotionMeasurement(camera, config.vo, self._scale, self._motion_model, rng)
+        self._measurement = MotionMeasurement(camera, config.vo, self._scale, self._motion_model, rng, self._down)
         self._relative = config.scale.relative
         self._scale_known: bool | None = None  # None before the first map
         self._gate = MotionGate()

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import cv2
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import VoSettings
@@ -20,7 +22,7 @@ from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.core.vo_estimate import CalibrationEvidence
 from fvslam_graph.features.ransac import RansacOptions, relative_poses
 from fvslam_graph.vo.deformation import undeformed
-from fvslam_graph.vo.depth import PIXEL_NOISE, triangulate
+from fvslam_graph.vo.depth import PIXEL_NOISE, ground_depths, triangulate
 from fvslam_graph.vo.epipolar import MatchedRays, Rays, calibration_jacobian, epipolar_distance
 from fvslam_graph.vo.m_estimator import clustered, m_estimator_covariance, neighbourhoods
 from fvslam_graph.vo.rotation import fit_rotation, motion_given_rotation
@@ -49,6 +51,7 @@ ENOUGH_CORNERS = 20  # for edges not to tell how corners err
 SCALE_ITERATIONS = 3
 MAX_BEHIND = 5.0  # deviations that a depth behind the camera counts for
 REFUTED = 3.0  # deviations of chance, by which one motion explains the images better than another
+PLANE_ITERATIONS = 3
 SPREAD = 0.5  # of inverse depths about what is usual, where none is known: all are ahead, few much nearer than others
 
 
@@ -68,6 +71,7 @@ class RelativePose:
         evidence: What the views say of these two; None where they were not asked.
         refutes_depths: The motion that agrees with the depths that were known does not explain the images: the depths
             are wrong.
+        spread: (5, 5) what is to be added to the covariance for other motions that explain the images about as well.
     """
 
     rotation: gtsam.Rot3
@@ -79,6 +83,7 @@ class RelativePose:
     J_calibration: NDArray[np.float64]
     evidence: CalibrationEvidence | None = None
     refutes_depths: bool = False
+    spread: NDArray[np.float64] = field(default_factory=lambda: np.zeros((5, 5)))
 
     @property
     def unit_pose(self) -> gtsam.Pose3:
@@ -116,6 +121,7 @@ def estimate_relative_pose(
     seed: int,
     expected: Iterable[gtsam.Pose3] = (),
     known: InverseDepths | None = None,
+    down: NDArray[np.float64] | None = None,
 ) -> RelativePose | None:
     """The relative pose that explains best how points move, and what is known of their depths; None without one.
 
@@ -131,25 +137,34 @@ def estimate_relative_pose(
         expected: Motions prev_T_cur, of which each is asked for only if those before it leave a doubt, as is RANSAC.
         known: Depths of some of the tracks in the previous camera. They choose among the solutions and are no part of
             the chosen one, so that its error has nothing to do with theirs.
+        down: (3,) unit vector to the ground in the previous camera: where no depths are known, the scene is taken to be
+            about there; None where there is none.
     """
     if len(tracks) < settings.min_inliers:
         return None
-    matches = _MatchedTracks(camera, tracks, MatchedRays.of(camera, tracks), known)
+    matches = _MatchedTracks(camera, tracks, MatchedRays.of(camera, tracks), known, down)
     limit = 2**0.5 * settings.ransac_threshold  # of errors in both images, the distance in one shows the sum
     fits: list[_Fit] = []
-    for start, widths in _starts(matches, settings, seed, expected):
+    for start, widths in _with_others_of_a_plane(_starts(matches, settings, seed, expected), fits):
         if np.linalg.norm(start.translation()) > 0 and (fit := _refine(start, matches, limit, widths, fits)):
             fits.append(fit)
             if fit.is_beyond_doubt(limit):
                 break
     if not fits:
         return None
-    best, refutes_depths = fits[0], False
+    best, refutes_depths, spread = fits[0], False, np.zeros((5, 5))
     if len(fits) > 1:
         noise = min(fit.noise for fit in fits)
-        best = min(fits, key=lambda fit: fit.distance_costs(noise).sum() + fit.depth_cost(noise))
-        if known is not None and fits[-1].is_beyond_doubt(limit) and fits[-1].refutes(best, noise):
-            best, refutes_depths = fits[-1], True
+        by_images = np.array([fit.distance_costs(noise) for fit in fits])
+        costs = by_images + [fit.depth_costs(noise) for fit in fits]
+        chosen = int(costs.sum(axis=1).argmin())
+        cells = neighbourhoods(tracks.keyframe, camera)
+        if known is not None and fits[-1].is_beyond_doubt(limit):
+            refutes_depths = bool(_told_apart(by_images[[chosen]], by_images[-1], cells)[0] > REFUTED)
+            if refutes_depths:
+                chosen, costs = len(fits) - 1, by_images
+        best = fits[chosen]
+        spread = best.spread(fits, _told_apart(costs, costs[chosen], cells))
     inliers = best.explained(limit)
     if inliers.sum() < max(settings.min_inliers, settings.min_inlier_share * len(tracks)):
         return None
@@ -162,18 +177,33 @@ def estimate_relative_pose(
     J_calibration, evidence = best.calibration(told)
     current = best.matches.tracks.current
     return RelativePose(
-        best.rotation, best.direction, covariance, inliers, current, best.noise, J_calibration, evidence, refutes_depths
+        best.rotation,
+        best.direction,
+        covariance,
+        inliers,
+        current,
+        best.noise,
+        J_calibration,
+        evidence,
+        refutes_depths,
+        spread,
     )
 
 
 @dataclass(frozen=True)
 class _MatchedTracks:
-    """N tracks, their rays in both views, and known depths of some in the previous one."""
+    """N tracks, their rays in both views, and in the previous one known depths of some, and where the ground is."""
 
     camera: Camera
     tracks: Tracks
     rays: MatchedRays
     known: InverseDepths | None
+    down: NDArray[np.float64] | None
+
+    @cached_property
+    def usual(self) -> NDArray[np.float64]:
+        """(N,) inverse depths of a scene of which nothing is known, up to its scale: the ground, or all alike."""
+        return np.ones(len(self.tracks)) if self.down is None else ground_depths(self.rays.previous, self.down)
 
     @cached_property
     def _corners(self) -> NDArray[np.bool_]:
@@ -256,37 +286,86 @@ class _Fit:
         evidence = CalibrationEvidence(information / self.noise**2, gradient / self.noise**2)
         return np.asarray(J_calibration[:, :2], float), evidence
 
-    def refutes(self, other: _Fit, noise: float) -> bool:
-        """Whether it is better than another by more than chance, whatever depths say (Vuong 1989, by neighbourhoods)."""
-        gain = other.distance_costs(noise) - self.distance_costs(noise)
-        gains = clustered(gain[:, None], neighbourhoods(self.matches.tracks.keyframe, self.matches.camera))
-        return bool(gains.sum() > REFUTED * np.linalg.norm(gains))
+    def others_of_a_plane(self) -> Iterator[gtsam.Pose3]:
+        """What else explains images of a plane, if that is what this says they show: normal and direction exchanged."""
+        depths = self.matches.depths(self.rotation, self.direction, self.noise)
+        rays, weight = self.matches.rays.previous, 1 / depths.sigmas**2
+        for _ in range(PLANE_ITERATIONS):
+            plane = np.linalg.lstsq((weight * rays.T) @ rays, rays.T @ (weight * depths.values))[0]
+            off = depths.values - rays @ plane
+            weight = 1 / (depths.sigmas**2 + median(np.abs(off)) ** 2 + off**2)
+        homography = self.rotation.matrix().T @ (np.eye(3) - np.outer(self.direction, plane))
+        _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
+        for R, t, normal in zip(rotations, translations, normals, strict=True):
+            other = gtsam.Pose3(gtsam.Rot3(R), t.ravel()).inverse()
+            is_ahead = median(rays @ normal.ravel()) > 0
+            if is_ahead and not self.is_at(other.rotation(), gtsam.Unit3(other.translation()).point3()):
+                yield other
+
+    def spread(self, fits: Sequence[_Fit], told_apart: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(5, 5) second moments about this of all that was found, by the deviations (F,) that tell this from each.
+
+        Motions that explain images alike may lie along a curve, which no covariance of one of them tells.
+        """
+        odds = ndtr(-told_apart) / ndtr(told_apart)
+        steps = np.array([self._essential.localCoordinates(fit._essential) for fit in fits])
+        weighed = np.sqrt(odds / odds.sum())[:, None] * steps
+        return np.asarray(weighed.T @ weighed)
+
+    @property
+    def _essential(self) -> gtsam.EssentialMatrix:
+        return gtsam.EssentialMatrix(self.rotation, gtsam.Unit3(self.direction))
 
     def distance_costs(self, noise: float) -> NDArray[np.float64]:
         """(N,) Cauchy costs of the epipolar distances."""
         return np.asarray(np.log1p((self.distance / (KERNEL * noise)) ** 2))
 
-    def depth_cost(self, noise: float) -> float:
-        """Cauchy cost of how the depths depart from those known, up to their scale.
+    def depth_costs(self, noise: float) -> NDArray[np.float64]:
+        """(N,) Cauchy costs of how depths depart from those known, up to their scale; 0 where none is.
 
-        Where none is known, all are taken to be about the same.
+        Where none is known at all, they are taken to be about as usual.
         """
         known, depths = self.matches.known, self.matches.depths(self.rotation, self.direction, noise)
         if known is None:
-            known = InverseDepths.independent(depths.ids, np.ones(len(depths)), np.full(len(depths), SPREAD))
+            usual = self.matches.usual
+            known = InverseDepths.independent(depths.ids, usual, SPREAD * usual)
+        costs = np.zeros(len(depths))
         mine, theirs = depths.match(known.ids)
         values, variance = depths.values[mine], depths.sigmas[mine] ** 2
         expected, doubt = known.values[theirs], known.total_sigmas[theirs] ** 2
         ahead = values > 0
         if not ahead.any():
-            return len(mine) * float(np.log1p((MAX_BEHIND / KERNEL) ** 2))
+            costs[mine] = np.log1p((MAX_BEHIND / KERNEL) ** 2)
+            return costs
         scale = math.exp(median(np.log(values[ahead] / expected[ahead])))
         for _ in range(SCALE_ITERATIONS):
             total = variance + scale**2 * doubt
             square = (values - scale * expected) ** 2 / total
             weight = 1 / total / (1 + square / KERNEL**2)
             scale = float((weight * values * expected).sum() / (weight * expected**2).sum())
-        return float(np.log1p(square / KERNEL**2).sum())
+        costs[mine] = np.log1p(square / KERNEL**2)
+        return costs
+
+
+def _told_apart(others: NDArray[np.float64], best: NDArray[np.float64], cells: NDArray[np.intp]) -> NDArray[np.float64]:
+    """By how many deviations of chance tracks are explained better, costs (N,), than by others, (F, N).
+
+    Source: Vuong 1989; by neighbourhoods of the image, whose tracks err alike.
+    """
+    gains = clustered((others - best).T, cells)
+    return np.asarray(gains.sum(axis=0) / np.maximum(np.linalg.norm(gains, axis=0), 1e-9))
+
+
+def _with_others_of_a_plane(
+    starts: Iterable[tuple[gtsam.Pose3, Sequence[int]]], fits: Sequence[_Fit]
+) -> Iterator[tuple[gtsam.Pose3, Sequence[int]]]:
+    """Each start, and after what it led to, the other motions of a plane."""
+    for start, widths in starts:
+        before = len(fits)
+        yield start, widths
+        for fit in tuple(fits[before:]):
+            for other in fit.others_of_a_plane():
+                yield other, WIDTHS[FOUND:]
 
 
 def _starts(

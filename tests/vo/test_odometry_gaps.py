@@ -69,8 +69,6 @@ def test_another_scene_becomes_the_reference(flight):
     estimates = flight.run(flipped)
     given_up = 10 + MAX_FAILURES - 1
     assert statuses(estimates[10 : given_up + 1]) == [Status.COASTED] * (MAX_FAILURES - 1) + [Status.REINITIALISED]
-    # Upside down, the camera turns round at once, which takes some insistence.
-    assert statuses(estimates[given_up + 1 : given_up + 3]) == [Status.COASTED] * 2
     assert statuses(estimates[-3:]) == [Status.TRACKED] * 3
     assert estimates[given_up].previous == 8
     assert {estimate.previous for estimate in estimates[given_up + 1 :]}.isdisjoint(range(given_up))

@@ -193,7 +193,7 @@ def test_of_two_solutions_of_a_plane_the_map_chooses(camera, plane_scene, seed):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_map_of_the_wrong_solution_is_refuted_once_images_tell(camera, plane_scene, seed):
-    """Ground that is rough by 0.6 % looks plane by a short motion, so that the map may be wrong; by a longer one it does not."""
+    """Ground that is rough by 0.6 % looks plane by a short motion; by a longer one, it tells."""
     scene, motion, other = plane_scene(seed)
     rng = np.random.default_rng(seed)
     points = scene.points * (1 + 0.006 * rng.standard_normal((len(scene.points), 1)))
@@ -224,6 +224,25 @@ def test_of_two_solutions_of_a_plane_the_flatter_one_is_taken_where_nothing_is_k
         estimate = estimate_relative_pose(scene.tracks, camera, SETTINGS, seed, [other, motion])
         assert np.abs(error_of(estimate, motion)).max() < 0.06
         assert np.abs(error_of(estimate, other)).max() > 0.2
+
+
+def test_where_images_tell_two_solutions_hardly_apart_the_spread_says_so(camera):
+    """Up from a plane, direction and normal are nearly the same, and so are the two solutions: noise chooses."""
+    normal = np.array([0.1, -0.15, 1.0]) / np.linalg.norm([0.1, -0.15, 1.0])
+    motion = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.002, -0.001, 0.003])), np.array([0.001, 0.002, -0.03]))
+    alone, spread = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        pixels = rng.uniform((8, 8), (camera.width - 9, camera.height - 9), (200, 2))
+        rays = camera.rays(pixels)
+        current = camera.project(motion.transformTo((rays / (rays @ normal)[:, None]).T).T)
+        tracks = Tracks.alike(np.arange(200), pixels, current + 0.1 * rng.standard_normal((200, 2)))
+        estimate = estimate_relative_pose(tracks, camera, SETTINGS, seed)
+        error = error_of(estimate, motion)
+        alone.append(error @ np.linalg.solve(estimate.covariance, error))
+        spread.append(error @ np.linalg.solve(estimate.covariance + estimate.spread, error))
+    assert np.median(alone) > 50  # measured 125
+    assert np.median(spread) < 25  # measured 15; 5 would be honest: they lie along a curve
 
 
 def test_an_edge_tells_nothing_along_itself(camera, two_views):

@@ -18,7 +18,7 @@ RATE = 10.0  # Hz, of the images
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 _PATH_MARGIN = 1.0  # seconds known before the first and after the last frame, for exposures that reach over
-_KNOT_STEP = 0.05  # seconds between the knots of a path
+KNOT_STEP = 0.05  # seconds between the knots of a path
 
 
 @dataclass(frozen=True)
@@ -28,20 +28,25 @@ class Motion:
     Attributes:
         path: Time (s) to position (3,), metres, with x and y level and z up; twice continuously differentiable.
         wobble: Time (s) to a small rotation vector (3,) in the camera frame, radians.
-        depression: Angle of the optical axis below the direction of travel, radians.
+        depression: Angle of the optical axis below the vehicle's nose, radians.
         leans: The vehicle is a multirotor: it tilts until its thrust gives the path's acceleration.
+        heading: Time (s) to where its nose points, radians from x to y; None where that is the direction of travel.
     """
 
     path: PPoly
     wobble: Callable[[float], NDArray[np.float64]]
     depression: float
     leans: bool
+    heading: Callable[[float], float] | None = None
 
     def pose(self, time: float) -> gtsam.Pose3:
         """world_T_camera at `time`; camera axes x right, y down, z forward."""
         up = self.path(time, 2) - GRAVITY if self.leans else -GRAVITY
         up = up / np.linalg.norm(up)
-        course = self.path(time, 1) * (1, 1, 0)
+        if self.heading is None:
+            course = self.path(time, 1) * (1, 1, 0)
+        else:
+            course = np.array([np.cos(self.heading(time)), np.sin(self.heading(time)), 0.0])
         right = np.cross(course, up)
         right /= np.linalg.norm(right)
         axis = np.cos(self.depression) * np.cross(up, right) - np.sin(self.depression) * up
@@ -63,7 +68,7 @@ class Motion:
 
 def knots(duration: float) -> NDArray[np.float64]:
     """Times, seconds, at which to lay down a path of this duration."""
-    return np.arange(-_PATH_MARGIN, duration + _PATH_MARGIN + _KNOT_STEP, _KNOT_STEP)
+    return np.arange(-_PATH_MARGIN, duration + _PATH_MARGIN + KNOT_STEP, KNOT_STEP)
 
 
 def wobble(rng: np.random.Generator, *parts: tuple[float, float]) -> Callable[[float], NDArray[np.float64]]:

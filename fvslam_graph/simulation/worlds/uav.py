@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.random_streams import stream
 from fvslam_graph.simulation.worlds.boxes import Box
+from fvslam_graph.simulation.worlds.manoeuvres import Manoeuvre, manoeuvre_motion
 from fvslam_graph.simulation.worlds.motion import Motion, knots, wobble
 from fvslam_graph.simulation.worlds.panels import paint
 from fvslam_graph.simulation.worlds.ripmap import Grey
@@ -57,13 +58,25 @@ class UavWorld:
         duration: Seconds.
         movers: Number of cars.
         seed: Of everything random.
+        manoeuvre: What it flies; None for a flight that weaves and climbs.
     """
 
     height_source = "synthetic altimeter"
 
-    def __init__(self, size: tuple[int, int], view: View, duration: float, movers: int, seed: int) -> None:
+    def __init__(
+        self,
+        size: tuple[int, int],
+        view: View,
+        duration: float,
+        movers: int,
+        seed: int,
+        manoeuvre: Manoeuvre | None = None,
+    ) -> None:
         self.camera = uav_camera(size)
-        self.motion = uav_motion(seed, duration, DEPRESSION[view])
+        if manoeuvre is None:
+            self.motion = uav_motion(seed, duration, DEPRESSION[view])
+        else:
+            self.motion = manoeuvre_motion(manoeuvre, seed, duration, ALTITUDE, DEPRESSION[view])
         self.terrain = Terrain(self.camera, seed)
         self._ahead = ALTITUDE / np.tan(DEPRESSION[view])
         rng = stream(seed, "traffic")
