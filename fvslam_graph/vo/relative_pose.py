@@ -11,7 +11,6 @@ import cv2
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from fvslam_graph.core.camera import Camera
 from fvslam_graph.core.config import VoSettings
@@ -307,7 +306,7 @@ class _Fit:
 
         Motions that explain images alike may lie along a curve, which no covariance of one of them tells.
         """
-        odds = ndtr(-told_apart) / ndtr(told_apart)
+        odds = np.array([math.erfc(z / 2**0.5) / math.erfc(-z / 2**0.5) for z in told_apart])  # of a normal variable
         steps = np.array([self._essential.localCoordinates(fit._essential) for fit in fits])
         weighed = np.sqrt(odds / odds.sum())[:, None] * steps
         return np.asarray(weighed.T @ weighed)
