@@ -17,16 +17,8 @@ from fvslam_graph.core.tracks import Tracks
 from fvslam_graph.features.ransac import absolute_pose
 from fvslam_graph.vo.depth import scale_ratio
 from fvslam_graph.vo.m_estimator import m_estimator_covariance, neighbourhoods
-from fvslam_graph.vo.relative_pose import (
-    CONVERGED_STEP,
-    KERNEL,
-    RELAXED,
-    START_NOISE,
-    WIDTHS,
-    RelativePose,
-    a_sample,
-    ransac_options,
-)
+from fvslam_graph.vo.motion_fit import CONVERGED_STEP, KERNEL, RELAXED, WIDTHS
+from fvslam_graph.vo.relative_pose import START_NOISE, RelativePose, a_sample, ransac_options
 from fvslam_graph.vo.reprojection import ReprojectionErrors, reprojection_errors
 
 NOISE = (0.1, 2.0)  # pixels, between which that of a track lies

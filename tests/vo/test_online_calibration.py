@@ -10,8 +10,8 @@ from fvslam_graph.core.config import load_config
 from fvslam_graph.core.vo_estimate import CalibrationEvidence
 from fvslam_graph.estimator import estimate
 from fvslam_graph.testing import rendered
+from fvslam_graph.vo.motion_fit import RELAXED
 from fvslam_graph.vo.online_calibration import OnlineCalibration
-from fvslam_graph.vo.relative_pose import RELAXED
 
 
 def lens(camera, log_focal, k1):
