@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import cv2
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +16,7 @@ from fvslam_graph.features.alignment_bias import alignment_bias
 from fvslam_graph.features.brightness import relative_brightness
 from fvslam_graph.features.detection import BORDER, detect
 from fvslam_graph.features.texture import Texture
-from fvslam_graph.features.turn import Turn
+from fvslam_graph.features.turn import expected_turn, turned_back
 
 MOST = 0.5  # of the points that were followed, which are found as long as the image shows the same scene
 NEAR = 9  # points that go about the same way
@@ -54,7 +55,7 @@ class KltTracker:
         image = self._relative(image)
         expected, turn = self._seen + self._steps, None
         if self._followed.any():
-            turn = Turn.between(self._points[self._followed], expected[self._followed])
+            turn = expected_turn(self._points[self._followed], expected[self._followed])
         else:
             expected = self._roughly(image)
         found, good = self._follow(self._image, image, expected, turn)
@@ -64,7 +65,10 @@ class KltTracker:
             self._followed = good
         points, current = self._points[good].astype(float), found[good].astype(float)
         tracks = Tracks(self._ids[good], points, current, self._covariances[good], self._bias[good])
-        return tracks if turn is None else replace(tracks, covariances=turn.turned(tracks.covariances), turn=turn.angle)
+        if turn is None:
+            return tracks
+        R = turn.rotation().matrix()
+        return replace(tracks, covariances=R @ tracks.covariances @ R.T, turn=turn.theta())
 
     def set_keyframe(self, image: Image, kept: Tracks) -> Tracks:
         """Make `image` the keyframe: its points, the kept tracks and new corners, are returned."""
@@ -111,17 +115,18 @@ class KltTracker:
         return np.asarray(self._points + np.median(steps[near], axis=1), np.float32)
 
     def _follow(
-        self, keyframe: Image, image: Image, expected: NDArray[np.float32], turn: Turn | None
+        self, keyframe: Image, image: Image, expected: NDArray[np.float32], turn: gtsam.Pose2 | None
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Pixels (N, 2) where the points are in the image, and (N,) whether the way back leads to where they were."""
         height, width = image.shape
         if turn is not None:
-            image, expected = turn.upright(image), turn.into_upright(expected)
+            image = turned_back(image, turn)
+            expected = turn.transformTo(expected.T.astype(float)).T.astype(np.float32)
         found, forward = self._align(keyframe, image, self._points, expected, self.settings.klt_levels)
         # The way back starts at the answer, so that the full image suffices.
         returned, backward = self._align(image, keyframe, found, self._points, 0)
         if turn is not None:
-            found = turn.out_of_upright(found)
+            found = turn.transformFrom(found.T.astype(float)).T.astype(np.float32)
         inside = np.all((found > BORDER) & (found < (width - BORDER - 1, height - BORDER - 1)), axis=1)
         error = np.hypot(*(returned - self._points).T)
         return found, forward & backward & inside & (error < self.settings.klt_backward)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import gtsam
 import numpy as np
@@ -14,49 +12,22 @@ from fvslam_graph.core.camera import Image
 MIN_TURN = 0.05  # rad, by which the rim of a patch goes half a pixel; what less of it makes tracks err is known
 
 
-@dataclass(frozen=True)
-class Turn:
-    """How an image is turned against the keyframe about the optical axis, and shifted with it.
+def expected_turn(keyframe: NDArray[np.float32], expected: NDArray[np.float32]) -> gtsam.Pose2 | None:
+    """How an image is turned and shifted in its plane against the keyframe; None if it is hardly turned.
 
-    Attributes:
-        angle: Radians, from x to y.
-        affine: (2, 3) from pixels of the image that is turned back to those of the image.
+    Args:
+        keyframe: (N, 2) pixels of points there.
+        expected: (N, 2) pixels where they are expected in the image.
+
+    Returns:
+        image_T_upright, pixels: from the image that is turned back to the image, nearest to these points.
     """
+    nearest = gtsam.Pose2.Align(expected.T.astype(float), keyframe.T.astype(float))
+    return nearest if nearest is not None and abs(nearest.theta()) > MIN_TURN else None
 
-    angle: float
-    affine: NDArray[np.float64]
 
-    @staticmethod
-    def between(keyframe: NDArray[np.float32], expected: NDArray[np.float32]) -> Turn | None:
-        """The turn that leads points (N, 2) of the keyframe nearest to where they are expected; None if it is small."""
-        here, there = keyframe.mean(axis=0, dtype=float), expected.mean(axis=0, dtype=float)
-        a, b = keyframe - here, expected - there
-        angle = float(np.arctan2(a[:, 0] @ b[:, 1] - a[:, 1] @ b[:, 0], np.vdot(a, b)))
-        R = gtsam.Rot2(angle).matrix()
-        return Turn(angle, np.column_stack([R, there - R @ here])) if abs(angle) > MIN_TURN else None
-
-    def upright(self, image: Image) -> Image:
-        """The image, turned back."""
-        height, width = image.shape
-        return np.asarray(
-            cv2.warpAffine(
-                image,
-                self.affine,
-                (width, height),
-                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-                borderMode=cv2.BORDER_REPLICATE,
-            )
-        )
-
-    def into_upright(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Where points (N, 2) of the image are when it is turned back."""
-        return np.asarray((points - self.affine[:, 2]) @ self.affine[:, :2], np.float32)
-
-    def out_of_upright(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Where points (N, 2) of the image that was turned back are in the image."""
-        return np.asarray(points @ self.affine[:, :2].T + self.affine[:, 2], np.float32)
-
-    def turned(self, covariances: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariances (N, 2, 2) of points in the image that was turned back, in the image."""
-        R = self.affine[:, :2]
-        return np.asarray(R @ covariances @ R.T)
+def turned_back(image: Image, image_T_upright: gtsam.Pose2) -> Image:
+    """The image (H, W) as it would be if the camera had not rolled."""
+    height, width = image.shape
+    affine, flags = image_T_upright.matrix()[:2], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(image, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE))

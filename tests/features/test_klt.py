@@ -102,7 +102,7 @@ def test_points_keep_their_ids(texture, tracker):
 
 
 def test_points_are_followed_as_the_camera_rolls():
-    """By 3 degrees an image: patches that are only shifted have lost two thirds after 30, and err by a pixel."""
+    """Patches that are only shifted have lost two thirds after a roll of 30 degrees, and err by a pixel."""
     rng = np.random.default_rng(0)
     ground = cv2.GaussianBlur(rng.uniform(0, 255, (900, 900)), (0, 0), 2)
     ground = cv2.normalize(ground, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
@@ -123,6 +123,11 @@ def test_points_are_followed_as_the_camera_rolls():
     assert np.median(wrong) < 0.1
     middle = np.linalg.norm(points.keyframe - centre, axis=1) < 200  # is in view all the time
     assert np.isin(points.ids[middle], tracks.ids[wrong < 0.5]).mean() > 0.9
+    # What is uncertain along x of the keyframe is so along the turned x in the image.
+    tracker._covariances = np.diag([4.0, 1.0]) + np.zeros((len(points), 1, 1))
+    tracks = tracker.track(seen(-angle))
+    along = gtsam.Rot2(tracks.turn).matrix()[:, 0]
+    assert tracks.covariances @ along == pytest.approx(np.tile(4.0 * along, (len(tracks), 1)))
 
 
 def test_a_fast_start_is_found_where_nothing_tells_how_far_points_go():
