@@ -51,7 +51,7 @@ def manoeuvre_motion(manoeuvre: Manoeuvre, seed: int, duration: float, altitude:
         manoeuvre: Which.
         seed: Of the gusts.
         duration: Seconds.
-        altitude: Metres, at which it begins.
+        altitude: Metres, at which it is at time 0.
         depression: Radians that its camera looks below the vehicle's forward axis.
     """
     rng = stream(seed, "manoeuvre")
@@ -61,19 +61,15 @@ def manoeuvre_motion(manoeuvre: Manoeuvre, seed: int, duration: float, altitude:
     flown = legs[np.searchsorted(ends, t.clip(min=0.0) % ends[-1], side="right"), 1:]
     forward, left, climb, turn = gaussian_filter1d(flown, _SMOOTHING / KNOT_STEP, axis=0, mode="nearest").T
     heading = CubicSpline(t, turn).antiderivative()
-    gusts = [Waves.random(rng, (0.15, 3.1), (0.1, 1.7), (0.3, 8.0)) for _ in range(3)]
-    path = CubicSpline(t, _level(heading(t), forward, left, climb) + _along(gusts, t, 1)).antiderivative()
-    path.c[-1] += np.array([0.0, 0.0, altitude]) + _along(gusts, t[0], 0)
+    gust = np.column_stack([Waves.random(rng, (0.15, 3.1), (0.1, 1.7), (0.3, 8.0))(t, 1) for _ in range(3)])
+    path = CubicSpline(t, _in_world(heading(t), forward, left, climb) + gust).antiderivative()
+    path.c[-1] += np.array([0.0, 0.0, altitude]) - path(0.0)
     return Motion(path, wobble(rng, (0.004, 0.9), (0.002, 0.37)), depression, leans=True, heading=heading)
 
 
-def _level(
+def _in_world(
     heading: NDArray[np.float64], forward: NDArray[np.float64], left: NDArray[np.float64], climb: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Velocities (N, 3) in the world."""
     c, s = np.cos(heading), np.sin(heading)
     return np.column_stack([c * forward - s * left, s * forward + c * left, climb])
-
-
-def _along(gusts: list[Waves], t: NDArray[np.float64], derivative: int) -> NDArray[np.float64]:
-    return np.stack([gust(t, derivative) for gust in gusts], axis=-1)
