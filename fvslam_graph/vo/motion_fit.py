@@ -201,7 +201,7 @@ class Fit:
 
 
 def told_apart(others: NDArray[np.float64], best: NDArray[np.float64], cells: NDArray[np.intp]) -> NDArray[np.float64]:
-    """By how many deviations of chance tracks are explained better, costs (N,), than by others, (F, N).
+    """Deviations of chance, (F,), by which tracks are explained better, costs (N,), than by others, (F, N).
 
     Source: Vuong 1989; by neighbourhoods of the image, whose tracks err alike.
     """

@@ -137,19 +137,7 @@ def estimate_relative_pose(
                 break
     if not fits:
         return None
-    best, refutes_depths, spread = fits[0], False, np.zeros((5, 5))
-    if len(fits) > 1:
-        noise = min(fit.noise for fit in fits)
-        by_images = np.array([fit.distance_costs(noise) for fit in fits])
-        costs = by_images + [fit.depth_costs(noise) for fit in fits]
-        chosen = int(costs.sum(axis=1).argmin())
-        cells = neighbourhoods(tracks.keyframe, camera)
-        if known is not None and fits[-1].is_beyond_doubt(limit):
-            refutes_depths = bool(told_apart(by_images[[chosen]], by_images[-1], cells)[0] > REFUTED)
-            if refutes_depths:
-                chosen, costs = len(fits) - 1, by_images
-        best = fits[chosen]
-        spread = best.spread(fits, told_apart(costs, costs[chosen], cells))
+    best, spread, refutes_depths = _chosen(fits, matches, limit)
     inliers = best.explained(limit)
     if inliers.sum() < max(settings.min_inliers, settings.min_inlier_share * len(tracks)):
         return None
@@ -175,15 +163,31 @@ def estimate_relative_pose(
     )
 
 
+def _chosen(fits: Sequence[Fit], matches: MatchedTracks, limit: float) -> tuple[Fit, NDArray[np.float64], bool]:
+    """The motion that explains the images and known depths best; its `spread`, and whether it `refutes_depths`."""
+    if len(fits) == 1:
+        return fits[0], np.zeros((5, 5)), False
+    noise = min(fit.noise for fit in fits)
+    by_images = np.array([fit.distance_costs(noise) for fit in fits])
+    costs = by_images + [fit.depth_costs(noise) for fit in fits]
+    chosen, last, refutes_depths = int(costs.sum(axis=1).argmin()), len(fits) - 1, False
+    cells = neighbourhoods(matches.tracks.keyframe, matches.camera)
+    if matches.known is not None and fits[last].is_beyond_doubt(limit):
+        refutes_depths = bool(told_apart(by_images[[chosen]], by_images[last], cells)[0] > REFUTED)
+    if refutes_depths:
+        chosen, costs = last, by_images
+    return fits[chosen], fits[chosen].spread(fits, told_apart(costs, costs[chosen], cells)), refutes_depths
+
+
 def _with_others_of_a_plane(
     starts: Iterable[tuple[gtsam.Pose3, Sequence[int]]], fits: Sequence[Fit]
 ) -> Iterator[tuple[gtsam.Pose3, Sequence[int]]]:
-    """Each start, and after what it led to, the other motions of a plane."""
+    """Each start, and after the motion that it led to, by then the last of `fits`, the others of its plane."""
     for start, widths in starts:
         before = len(fits)
         yield start, widths
-        for fit in tuple(fits[before:]):
-            for other in fit.others_of_a_plane():
+        if len(fits) > before:
+            for other in fits[before].others_of_a_plane():
                 yield other, WIDTHS[FOUND:]
 
 

@@ -69,7 +69,8 @@ def test_another_scene_becomes_the_reference(flight):
     estimates = flight.run(flipped)
     given_up = 10 + MAX_FAILURES - 1
     assert statuses(estimates[10 : given_up + 1]) == [Status.COASTED] * (MAX_FAILURES - 1) + [Status.REINITIALISED]
-    assert statuses(estimates[-3:]) == [Status.TRACKED] * 3
+    # Upside down, the camera turns round at once; after a loss, that is as likely as anything else.
+    assert statuses(estimates[given_up + 1 :]) == [Status.TRACKED] * (len(estimates) - given_up - 1)
     assert estimates[given_up].previous == 8
     assert {estimate.previous for estimate in estimates[given_up + 1 :]}.isdisjoint(range(given_up))
     # It is where the motion model says, and carries on at the speed that was known.

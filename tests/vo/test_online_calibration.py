@@ -128,5 +128,5 @@ def test_a_flight_with_a_wrong_calibration(bent, mode, caplog):
         results = list(estimate(bent, config))
         error = bent.ground_truth.poses[-1].between(results[-1].pose.mean)
         errors.append(np.linalg.norm(error.translation()))
-    assert errors[0] < 0.85 * errors[1]  # measured 0.73 (0.68 to 0.77 with other seeds): the first motions stay wrong
+    assert errors[0] < 0.8 * errors[1]  # measured 0.73 (0.68 to 0.77 with other seeds): the first motions stay wrong
     assert len(caplog.messages) == 1 and "do not fit their calibration" in caplog.messages[0]

@@ -227,7 +227,7 @@ def test_of_two_solutions_of_a_plane_the_flatter_one_is_taken_where_nothing_is_k
 
 
 def test_where_images_tell_two_solutions_hardly_apart_the_spread_says_so(camera):
-    """Up from a plane, direction and normal are nearly the same, and so are the two solutions: noise chooses."""
+    """A climb above a plane goes nearly along its normal: the two solutions are alike, and noise chooses."""
     normal = np.array([0.1, -0.15, 1.0]) / np.linalg.norm([0.1, -0.15, 1.0])
     motion = gtsam.Pose3(gtsam.Rot3.Expmap(np.array([0.002, -0.001, 0.003])), np.array([0.001, 0.002, -0.03]))
     alone, spread = [], []
